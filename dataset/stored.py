@@ -13,7 +13,7 @@ import numpy as np
 from common.bounded import require_memory
 from common.errors import DesignError, FileFormatError, TriPillarError
 from common.storage.files import digest
-from common.storage.netcdf import Content, read_netcdf
+from common.storage.netcdf import Content, Named, labelled, read_netcdf
 from common.storage.seal import say_made_anew
 from common.storage.text_file import require_bounded, tables_of
 from dataset.imperfections import stated_imperfections
@@ -23,7 +23,7 @@ from dataset.table import read_csv
 from dataset.variables import LABELS, TIMED, VARIABLES, labels_of, layout_of, senseless
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
-from geometry.layout import FloatArray, Layout
+from geometry.layout import AXES, FloatArray, Layout
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -156,9 +156,10 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     """Read a dataset file, whoever made it: NetCDF or CSV into memory; of a zarr directory samples as they are used.
 
     Resistances and forces must be there; tractions, displacements and lengths may be missing, and `labels_only` leaves
-    them in the file. Axes may be unlabelled, x, y, z then. Pillars are those of the stated design; else those of the
-    ready layout that has their names; unlabelled ones are the paper's z, x, y. An attribute that is missing or makes no
-    sense counts as not stated. A file that is damaged or foreign, states another hash than its content's,
+    them in the file. Axes may be unlabelled, x, y, z then; without axes and pillars forces are along z. Pillars are
+    those of the stated design; else those of the ready layout that has their names; unlabelled ones are the paper's z,
+    x, y. An attribute that is missing or makes no sense counts as not stated. A file that is damaged or foreign, states
+    another hash than its content's,
     lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
     """
     path = Path(path)
@@ -172,7 +173,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
         rows, cols = arrays["force_n"].shape[-3:-1]
         described = _described(path, {}, rows, cols, layout.pillar_names)
     else:
-        read = read_netcdf(path, *_variables(labels_only))
+        read = _completed(read_netcdf(path, *_variables(labels_only)))
         described = _described(path, read.attrs, read.sizes["row"], read.sizes["col"], _names(read))
         data = _contract(path, read, described["layout"])
         attributes, time_s = data.attrs, _times(path, data)
@@ -205,7 +206,20 @@ def _variables(labels_only: bool) -> tuple[dict[str, Any], str, dict[str, Any], 
     """Dims of variables that must be there, who makes them, dims of those read where they are, and those of series."""
     others = ["strain_model"] if labels_only else [name for name in VARIABLES if name not in LABELS]
     wanted, optional = ({name: VARIABLES[name].dims for name in names} for names in (LABELS, others))
-    return wanted, MADE_BY, optional, {"sample": TIMED}
+    return wanted, MADE_BY, optional, {"sample": TIMED, "axis": (), "pillar": ()}
+
+
+def _completed(content: Content) -> Content:
+    """The same with axes x, y, z and the pillar z where a file has one reading and one normal force a unit."""
+    named, coords = dict(content.data_vars), dict(content.coords)
+    for name, dim, before in (("resistance_ohm", "pillar", 0), ("force_n", "axis", 2)):
+        dims, values = named[name].dims, named[name].values
+        dims, values = (dims, values) if dim in dims else ((*dims, dim), values[..., None])
+        if values.shape[-1] == 1 and (dim not in coords or str(coords[dim].values[0]) == "z"):
+            values = np.pad(values, [*[(0, 0)] * (values.ndim - 1), (before, 0)])
+            coords |= labelled({dim: AXES[2 - before :]})
+        named[name] = Named(dims, values, named[name].attrs)
+    return Content(data_vars=named, coords=coords, attrs=content.attrs)
 
 
 def _times(path: Path, data: "Content | xr.Dataset") -> FloatArray | None:

@@ -8,16 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from common.bounded import require_memory
-from common.clean import form_of, read_table
+from common.clean import Form, form_of, read_table
 from common.errors import FileFormatError
 from common.storage.files import replacing
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
 from geometry.design import MAX_UNITS
-from geometry.layout import FloatArray, Layout
+from geometry.layout import AXES, FloatArray, Layout
 
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
-NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar"
+SHORT = {r"f_(\d+)_(\d+)": r"force_\1_\2_z_n", r"r_(\d+)_(\d+)": r"resistance_\1_\2_z_ohm"}  #: of sensors of one axis
+KNOWN = re.compile("|".join((COLUMN.pattern, *SHORT)))
+NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar; or f_0_0 and r_0_0"
+LEAST_COUNT = 0.5  #: that a whole number of 0 stands for among readings that are counts
 
 
 def columns_of(variables: Iterable[str], rows: int, cols: int, layout: Layout) -> list[str]:
@@ -67,13 +70,14 @@ def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = l
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     """Forces (n, rows, cols, 3) [N] and resistances (n, rows, cols, n_pillars) [Ω] of a table, and its layout.
 
-    Other columns are left out. Numbers between semicolons may have a decimal comma. A file that is missing, lacks a
-    column or holds what is no number is a `FileFormatError` that says which.
+    Other columns are left out, forces along an axis without columns are 0. Numbers between semicolons may have a
+    decimal comma. A file that is missing, lacks a column or holds what is no number is a `FileFormatError` that says
+    which.
     """
     import pandas as pd
 
     path = Path(path)
-    form = form_of(path, COLUMN.fullmatch)
+    form = _form_of(path)
     require_memory(2 * path.stat().st_size, f"{path}: its samples", "give fewer, or a NetCDF file")
     header = form.header
     places = [place for place in map(COLUMN.fullmatch, header) if place]
@@ -83,8 +87,9 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     if max(rows, cols) > MAX_UNITS:
         raise FileFormatError(f"{path}: names {rows} × {cols} units, at most {MAX_UNITS} each way: mend its header.")
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
-    expected = [*chain(*of_each)]
-    there = {*header}
+    axes = {f"{place[3]}_n" for place in places if place[4] == "n"} or {f"{axis}_n" for axis in AXES}
+    expected = [name for name in chain(*of_each) if name.endswith(("_ohm", *axes))]
+    there = {name: at for at, name in enumerate(header)}
     if missing := next((name for name in expected if name not in there), ""):
         size = f" of {rows} × {cols} units" if units else ""
         raise FileFormatError(f"{path}: has no column {missing}{size}: {NAMES}.")
@@ -92,18 +97,32 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
         decimal = "," if form.separator == ";" else "."
         options = {"sep": form.separator, "decimal": decimal, "encoding": form.encoding, "skiprows": form.above}
         table = pd.read_csv(path, header=None, names=range(len(header)), index_col=False, **options)
-        if "object" in {str(table[header.index(name)].dtype) for name in expected}:  # marks of thousands, and the like
-            lines = read_table(path, form, len(table), "give fewer")
+        if any(table.dtypes[there[name]].kind not in "iuf" for name in expected):  # marks of thousands, and the like
+            lines = read_table(path, form, 1 << 40, "give fewer")
             table = pd.DataFrame([cells[: len(header)] for _, cells in lines]).replace("", np.nan)
         table = table.set_axis(header, axis=1)[expected].dropna(how="all")
-        arrays = {name: table[names].to_numpy(np.float64) for name, names in zip(LABELS, of_each, strict=True)}
+        arrays = {
+            name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)
+            for name, names in zip(LABELS, of_each, strict=True)
+        }
     except (ValueError, TypeError) as error:  # of pandas, too
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
         raise FileFormatError(f"{path}: has no rows, expected at least one sample.")
+    if not (arrays["resistance_ohm"] % 1.0).any():
+        arrays["resistance_ohm"] = np.where(arrays["resistance_ohm"] == 0, LEAST_COUNT, arrays["resistance_ohm"])
     return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}, layout
 
 
 def holds_samples(path: Path) -> bool:
     """Whether a file is a CSV table of samples, by the names of its columns."""
-    return Path(path).suffix == ".csv" and any(map(COLUMN.fullmatch, form_of(path, COLUMN.fullmatch).header))
+    return Path(path).suffix == ".csv" and any(map(COLUMN.fullmatch, _form_of(Path(path)).header))
+
+
+def _form_of(path: Path) -> Form:
+    """How a table is written, with the long names of its columns."""
+    form = form_of(path, KNOWN.fullmatch)
+    names = form.header
+    for short, long in SHORT.items():
+        names = [re.sub(f"^{short}$", long, name) for name in names]
+    return form._replace(header=names)

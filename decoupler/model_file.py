@@ -17,11 +17,10 @@ from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.samples import AnySamples
 from decoupler.data.columns import component_named
-from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoder import Decoder
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.front import FEATURES
+from decoupler.model.front import POWERS
 from decoupler.model.network import form_named
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import Drifts, SensorDesign
@@ -66,7 +65,6 @@ def write_model(decoder: Decoder, path: Path) -> None:
         save_file(header | {"format": TOUCH}, decoder, path)
         return
     header |= {"format": FORMAT, "component": decoder.component.name, "network": asdict(decoder.form)}
-    header |= {"rows": decoder.rows, "cols": decoder.cols}
     if decoder.design is None and decoder.layout != PAPERS:
         header["layout"] = layout_text(decoder.layout)
     if isinstance(decoder, DecouplerAtStrain):
@@ -212,11 +210,7 @@ def _touch_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoder:
 
     _require_format(header, TOUCH)
     design = design_from_toml(header["design"])
-    said = {
-        "design": design,
-        "errors": _errors_of(header),
-        "made_from": dict(header["made_from"]),
-    }
+    said = {"design": design, "errors": _errors_of(header), "made_from": dict(header["made_from"])}
     found: Decoder = built_of(PlateDecoder if design.pad.kind == "stiff" else BareDecoder, arrays, said)
     return found
 
@@ -235,9 +229,6 @@ def _errors_of(header: dict[str, Any]) -> ReadingError:
 
 def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
     _require_format(header, FORMAT)
-    for name in ("rows", "cols"):
-        if type(header[name]) is not int or header[name] < 1:
-            raise ValueError(f"{name} is {header[name]!r}, must be a whole number from 1 on")
     known = {spec.name for spec in fields(NetworkConfig)}
     if set(header["network"]) != known:
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
@@ -248,25 +239,20 @@ def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoup
     layout = layout_from_text(header.get("layout", "")) if design is None else design.unit.layout
     said = {
         "component": component,
-        "rows": header["rows"],
-        "cols": header["cols"],
         "form": form,
         "design": design,
         "layout": layout,
         "made_from": dict(header["made_from"]),
         "posterior.misfit": header.get("misfit", 0.0),
-        "uncertainty.errors": _errors_of(header),
+        "errors": _errors_of(header),
         "least_squares.component": component,
         "least_squares.dead": dead,
         "least_squares.layout": layout,
     }
-    feature = FEATURES[form.feature]
-    kinds: dict[str, Any] = {"network": form_named(form.net)}
-    if feature is ModelInverse:
-        kinds["front.feature"] = feature
-    else:
-        said["front.feature"] = feature()
-    found: Decoupler = built_of(DecouplerAtStrain if "misfit" in header else Decoupler, arrays, said, kinds)
+    if form.feature in POWERS:
+        said["front.feature"] = POWERS[form.feature]
+    kind = DecouplerAtStrain if "misfit" in header else Decoupler
+    found: Decoupler = built_of(kind, arrays, said, {"network": form_named(form.net)})
     return found
 
 

@@ -1,7 +1,6 @@
 """Least squares: by a ridge where they are linear, by Levenberg's method on many small problems where not."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -10,32 +9,32 @@ from numpy.typing import NDArray
 from geometry.layout import FloatArray
 
 MIN_FREEDOM = 1e-9  #: of an equation, when it is left out
+FACTORS = 0.1, 10.0  #: of a damping, after a fall and after a rise
 RIDGES = np.logspace(-10, 3, 27)  #: per sample, of features and targets scaled to [-1, 1]
 
 
 def descended(
     start: FloatArray,
-    at: Callable[[FloatArray, NDArray[np.intp]], Any],
-    step: Callable[[Any, FloatArray, NDArray[np.intp]], FloatArray],
+    at: Callable[[FloatArray, NDArray[np.intp]], tuple[FloatArray, ...]],
+    step: Callable[[tuple[FloatArray, ...], FloatArray, NDArray[np.intp]], FloatArray],
     rounds: int,
     damping: tuple[float, float] = (1e-3, 1e6),
-    factors: tuple[float, float] = (0.1, 10.0),
     gained: float = 0.0,
     enough: float = -np.inf,
-) -> tuple[FloatArray, Any]:
+) -> tuple[FloatArray, tuple[FloatArray, ...]]:
     """Where n sums of squares are least, and what they are there.
 
     Parameters
     ----------
     start : array, shape (n, q)
     at : callable
-        Named tuple of arrays of points (k, q) of the problems (k,), whose first is the cost.
+        Arrays of points (k, q) of the problems (k,), whose first is the cost.
     step : callable
         From such a tuple, the dampings (k,) and the problems (k,) to steps (k, q).
     rounds : int
         Steps at most.
     damping : float, float
-        The first one, and that beyond which a problem has ended; `factors` change it after a fall and after a rise.
+        The first one, and that beyond which a problem has ended; `FACTORS` change it.
     gained : float
         Fall of the cost below which a problem has ended, as it has with `enough` of a cost.
 
@@ -49,14 +48,14 @@ def descended(
     for _ in range(rounds):
         if not len(on):
             break
-        trial = x[on] + step(here._make(values[on] for values in here), own[on], on)
+        trial = x[on] + step(tuple(values[on] for values in here), own[on], on)
         there = at(trial, on)
         gain = here[0][on] - there[0]
         better = gain > 0
         x[on[better]] = trial[better]
         for old, new in zip(here, there, strict=True):
             old[on[better]] = new[better]
-        own[on] *= np.where(better, *factors)
+        own[on] *= np.where(better, *FACTORS)
         ended = (better & (gain < gained)) | (own[on] > damping[1]) | (here[0][on] <= enough)
         on = on[~ended]
     return x, here

@@ -199,12 +199,12 @@ def _wires(level: tuple[Electrode, ...]) -> tuple[int, ...]:
     return tuple(found.index(name) for name in names)
 
 
-_UPPER = {"U1": (-1.0, -1.0), "U2": (-1.0, 1.0), "U3": (1.0, 1.0), "U4": (1.0, -1.0)}
-_LOWER = {"L1": (-1.0, -1.0), "L2": (1.0, -1.0), "L3": (-1.0, 1.0), "L4": (1.0, 1.0)}
+_UPPER = {"U0": (0.0, 0.0), "U1": (-1.0, -1.0), "U2": (-1.0, 1.0), "U3": (1.0, 1.0), "U4": (1.0, -1.0)}
+_LOWER = {"L0": (0.0, 0.0), "L1": (-1.0, -1.0), "L2": (1.0, -1.0), "L3": (-1.0, 1.0), "L4": (1.0, 1.0)}
 
 
 def _on_corners(pillars: str) -> Layout:
-    """Layout of electrodes on a square's corners by the names, feet and tops of its pillars."""
+    """Layout of electrodes on a square's corners, or its middle, by the names, feet and tops of its pillars."""
     joined = [one.split() for one in pillars.split(",")]
     upper, lower = ({each[at] for each in joined} for at in (2, 1))
     return Layout(
@@ -216,12 +216,13 @@ def _on_corners(pillars: str) -> Layout:
 
 #: the paper's unit: electrodes "2", "7", "3" and "5", pillars "1", "4" and "6", named after the force that each senses
 SONG2018 = _on_corners("z L1 U1, x L2 U1, y L1 U2")
-#: layouts by name; rank of what their pillars tell of a rigid plate's six motions: 3, 6, 6 and 3
+#: layouts by name; rank of what their pillars tell of a rigid plate's six motions: 3, 6, 6, 3 and 1
 LAYOUTS = {
     "song2018": SONG2018,
     "six-pillar": _on_corners("z L1 U1, x L2 U1, y L1 U2, z2 L3 U2, z3 L4 U3, x3 L3 U3"),
     "eight-pillar": _on_corners("z1 L1 U1, x1 L2 U1, z2 L3 U2, y2 L1 U2, z3 L4 U3, x3 L3 U3, z4 L2 U4, y4 L4 U4"),
     "upright-four": _on_corners("z1 L1 U1, z2 L3 U2, z3 L4 U3, z4 L2 U4"),
+    "single": _on_corners("z L0 U0"),
 }
 
 

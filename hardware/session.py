@@ -20,6 +20,7 @@ from common.threads import one_blas_thread
 from geometry.design import Memory
 from geometry.layout import FloatArray
 from hardware.link.frames import Statistics
+from hardware.link.lines import MATRIX, matrix_info
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import is_beginning
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
-RECORDED = (".frames", ".nc", ".mcap", ".csv")  #: endings of recordings, which do not appear by themselves
+RECORDED = (".frames", ".nc", ".mcap", ".csv", ".txt", ".log")  #: endings of files, which do not appear by themselves
 BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
 TOLD_S = 1.0  #: between two reports of a recording's progress
 taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
@@ -50,15 +51,16 @@ def connect(
     """
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
+    stated = matrix_info(**{name: settings.pop(name) for name in MATRIX if name in settings})
     _await(port)
     if Path(port).is_file():
-        recording = read_recording(Path(port))
+        recording = read_recording(Path(port), stated)
         source = PlaybackPort(recording, speed=speed)
         settings = settings | {"queue": len(recording.counts)}  # a recording waits for its reader
         if known is None and recording.calibration:
             known = SensorCalibration.from_json(recording.calibration, f"the calibration in {port}")
     # one scan's matrices are too small for two BLAS threads to share
-    with one_blas_thread(), Scanner(source, **settings) as scanner:
+    with one_blas_thread(), Scanner(source, stated=stated, **settings) as scanner:
         info = scanner.info
         known = known or SensorCalibration.as_designed(info.rows, info.cols, layout=info.layout)
         known.require_for(info, str(calibration or port))
@@ -98,7 +100,7 @@ def live(
         Rubber file of `tripillar rubber`, whose memory is taken out of the readings once they have tested it, in a hold
         or a rest. Default: the memory of the model's design, if any, from the first scan on.
     **settings
-        As of `Scanner`.
+        As of `Scanner`, and of `matrix_info` for what sends lines of numbers.
 
     Yields
     ------

@@ -28,14 +28,14 @@ def decoded(
     full = np.abs(true).max(axis=(0, 1, 2)) / 100
     columns = decoder.columns(samples.resistance_ohm)
     begun = time.process_time()
-    found = decoder.refined(columns)
+    refined_n, _ = decoder.refined(columns)
     seconds = time.process_time() - begun
-    for name, force_n in (("network", decoder.first_answers(columns)), ("posterior", found.force_n)):
+    for name, force_n in (("network", decoder.first_answers(columns)), ("posterior", refined_n)):
         squares = ((force_n.reshape(true.shape) - true) / full) ** 2
         each = np.sqrt(squares.mean(axis=(1, 2)))
         values = {"rms": np.sqrt((each**2).mean(axis=0)), "median": np.median(each, axis=0), "worst": each.max(axis=0)}
         print(name, *(f"{key} " + " / ".join(f"{x:.2f}" for x in value) for key, value in values.items()), sep="  ")
-    off = np.abs(found.force_n.reshape(true.shape) - true)
+    off = np.abs(refined_n.reshape(true.shape) - true)
     for share, half in zip((68, 95), decoder.half_widths(samples.resistance_ohm), strict=True):
         print(f"within {share} %: " + " / ".join(f"{100 * x:.1f}" for x in (off < half).mean(axis=(0, 1, 2))))
     print(f"{1000 * seconds / len(samples):.2f} ms a sample")

@@ -156,7 +156,8 @@ def read_netcdf(
 ) -> Content:
     """Read the variables named in `wanted`, {variable: dims}, and those of `optional` that are there, on these dims.
 
-    `instead` names dims that stand in the place of a dim in files that have them. Coordinates of these dims come along.
+    `instead` names dims that stand in the place of a dim in files that have them, none of one that a variable may lack.
+    Coordinates of these dims come along.
     `FileFormatError` if the file is missing, damaged or no NetCDF file, lacks a variable or has it on other dims; it
     says which command such files are `made_by`.
     """
@@ -238,7 +239,9 @@ def chosen_dims(
     known = {*chain(*there.values())}
     found = {}
     for name, asked in wanted.items():
-        dims = tuple(chain(*(instead[dim] if dim in instead and {*instead[dim]} <= known else (dim,) for dim in asked)))
+        fewer = name in there and len(there[name]) < len(asked)
+        others = {dim: there for dim, there in instead.items() if {*there} <= known and (there or fewer)}
+        dims = tuple(chain(*(others.get(dim, (dim,)) for dim in asked)))
         if name not in there:
             said = f" has no variable '{name}', only {sorted(there)}"
         elif {*there[name]} != {*dims} and not is_unnamed(there[name], dims):

@@ -95,22 +95,13 @@ def pillar_columns(
     if len(numbers) in (1, n_pillars):
         pillars = slice(numbers[0], numbers[-1] + 1)  # a view, where an index would copy
     taken = np.asarray(resistance_ohm[..., pillars], dtype=np.float64)  # recordings may be of single precision
-    if dead is not None:
+    if dead is not None and dead.any():
         if dead.shape != resistance_ohm.shape[1:]:
             raise SampleError(f"dead has shape {dead.shape}, expected {resistance_ohm.shape[1:]}: one entry a pillar.")
         taken = np.where(dead[..., pillars], DEAD_OHM, taken)
     if said := senseless("resistance_ohm", taken, {"pillar": [layout.pillar_names[number] for number in numbers]}):
         raise SampleError(f"{said}: leave that sample out or mend the pillar.")
     return taken.reshape(len(taken), math.prod(taken.shape[1:]))
-
-
-def readable_columns(
-    component: Component, layout: Layout, dead: NDArray[np.bool_] | None, n_columns: int
-) -> NDArray[np.bool_]:
-    """Which of the columns that `pillar_columns` gives can be read, shape (n_columns,)."""
-    if dead is None:
-        return np.ones(n_columns, dtype=bool)
-    return ~dead[..., component.pillars(layout)].reshape(-1)
 
 
 def force_columns(force_n: FloatArray, component: Component) -> FloatArray:
@@ -131,7 +122,7 @@ class Columns:
     force_n: FloatArray  #: (n, Q) [N]
     load: NDArray[np.int64]  #: (n,): number of each sample's load; readings of one load share what a network misses
     errors: ReadingError  #: of the readings
-    dead: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): pillars that cannot be read
+    dead: NDArray[np.bool_]  #: (rows, cols, n_pillars): pillars that cannot be read
     layout: Layout = PAPERS
 
     @classmethod
@@ -144,7 +135,7 @@ class Columns:
             force_n=force_columns(data.force_n, component),
             load=load_numbers(data.force_n),
             errors=data.errors,
-            dead=data.dead,
+            dead=data.dead if data.dead is not None else np.zeros((*data.shape, len(data.layout.pillars)), dtype=bool),
             layout=data.layout,
         )
 
@@ -159,12 +150,11 @@ class Columns:
     @cached_property
     def readable(self) -> NDArray[np.bool_]:
         """Pillars that can be read, (P,)."""
-        return readable_columns(self.component, self.layout, self.dead, self.resistance_ohm.shape[1])
+        return ~self.dead[..., self.component.pillars(self.layout)].reshape(-1)
 
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same with some pillars (P,) that cannot be read either."""
-        n_pillars = len(self.layout.pillars)
-        dead = np.zeros((*self.shape, n_pillars), dtype=bool) if self.dead is None else self.dead.copy()
+        dead = self.dead.copy()
         dead[..., self.component.pillars(self.layout)] |= pillars.reshape(*self.shape, -1)
         return replace(self, dead=dead, resistance_ohm=np.where(pillars, DEAD_OHM, self.resistance_ohm))
 
@@ -235,14 +225,9 @@ class Resting:
         """Rest of pillars (n_in,) [Ω] behind a converter, if there is one."""
         return cls(rest_ohm=rest_ohm, full_counts=np.array([2.0 ** (bits or 0) - 1.0]))
 
-    @property
-    def knows_steps(self) -> bool:
-        """There is a converter."""
-        return bool(self.full_counts[0] > 0)
-
     def settled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with those that may be at rest there, where most of a sample's may."""
-        if not self.knows_steps:
+        if not self.full_counts[0] > 0:  # no converter
             return columns_ohm
         shares = SENSE_OHM / (columns_ohm + SENSE_OHM)
         alike = abs(shares - self._rest_share) <= MAX_COUNTS_FROM_REST / self.full_counts
@@ -280,11 +265,7 @@ class Scaling:
         return cls((low + high) / 2.0, np.where(constant, 0.0, half_range))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        return self.scale_differences(values - self.centre)
-
-    def scale_differences(self, differences: FloatArray) -> FloatArray:
-        """Differences of values as differences of scaled values; columns last."""
-        return differences * self.factor
+        return (values - self.centre) * self.factor
 
     @cached_property
     def factor(self) -> FloatArray:

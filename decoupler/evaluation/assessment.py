@@ -1,7 +1,7 @@
 """A model's errors beside what they are to be held against: the limit of the readings and the simplest decouplers."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from common.threads import one_blas_thread
 from dataset import Samples
 from dataset.samples import AnySamples
-from decoupler.data.columns import Component, force_columns
+from decoupler.data.columns import force_columns
 from decoupler.data.enough import ENOUGH, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
 from decoupler.inverse.limits import bayes, cramer_rao
@@ -38,10 +38,10 @@ class Assessment:
     """Everything about one force component."""
 
     errors: ForceErrors
-    limits: Limits | None  #: None if the response is unknown or other forces act as well
-    ratio: float | None  #: error over the lower bound without bias; None without noise
-    baselines: dict[str, ForceErrors]  #: eq. 8, where the design is known, and least squares on √R
-    coverage: tuple[float, float] | None  #: shares of errors within the 68 % and the 95 % half-width
+    coverage: tuple[float, float]  #: shares of errors within the 68 % and the 95 % half-width
+    limits: Limits | None = None  #: None if the response is unknown or other forces act as well
+    ratio: float | None = None  #: error over the lower bound without bias; None without noise
+    baselines: dict[str, ForceErrors] = field(default_factory=dict)  #: eq. 8, if the design is known, and least squares
 
 
 @one_blas_thread()  # `forces` has a thread a core of its own
@@ -60,20 +60,29 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     compared = {name: errors_over(data.blocks(ENOUGH), forces, component) for name, forces in baselines.items()}
     data = drawn(data)
     limits = _limits(decoupler, data, response)
-    force_n = force_columns(data.force_n, component)
-    missed_n = np.abs(decoupler.forces(data.resistance_ohm).reshape(force_n.shape) - force_n)
-    coverage = _coverage(decoupler, decoupler.columns(data.resistance_ohm), missed_n)
+    told_n = decoupler.forces(data.resistance_ohm)
+    missed_n = np.abs(told_n - force_columns(data.force_n, component).reshape(told_n.shape))
     found = {}
-    for name, covered in zip(component.forces, coverage, strict=True):
+    for name, one in covered(errors, missed_n, decoupler.half_widths(data.resistance_ohm)).items():
         limit = limits.get(name)
-        found[name] = Assessment(
-            errors=errors[name],
+        found[name] = replace(
+            one,
             limits=limit,
-            ratio=errors[name].rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
+            ratio=one.errors.rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
             baselines={label: by_force[name] for label, by_force in compared.items()},
-            coverage=covered,
         )
     return found
+
+
+def covered(
+    errors: dict[str, ForceErrors], missed_n: FloatArray, half_widths_n: Sequence[FloatArray]
+) -> dict[str, Assessment]:
+    """Errors by force with the shares of those on samples (..., n_axes) [N] within their half-widths of such shape."""
+    within = [(missed_n <= width).reshape(-1, len(errors)).mean(axis=0).tolist() for width in half_widths_n]
+    return {
+        name: Assessment(errors=own, coverage=(one, two))
+        for (name, own), one, two in zip(errors.items(), *within, strict=True)
+    }
 
 
 def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> dict[str, Limits]:
@@ -85,24 +94,12 @@ def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None
     every = np.linspace(0, len(data.force_n) - 1, min(MAX_SAMPLES, len(data.force_n))).astype(int)
     usual_n, forward = force_columns(data.force_n, component), SensorModel.of(response, component)
     reading = data.errors, data.shape, decoupler.readable
-    unbiased = _by_axis(cramer_rao(forward, usual_n[every], *reading), component)
-    biased = _by_axis(bayes(forward, usual_n[every], *reading, usual_n), component)
+    both = cramer_rao(forward, usual_n[every], *reading), bayes(forward, usual_n[every], *reading, usual_n)
+    by_axis = [np.sqrt((least_n**2).reshape(-1, len(component.axes)).mean(axis=0)).tolist() for least_n in both]
     return {
-        name: Limits(cramer_rao_n=float(one) if np.isfinite(one) else None, bayes_n=float(other))
-        for name, one, other in zip(component.forces, unbiased, biased, strict=True)
+        name: Limits(cramer_rao_n=unbiased if np.isfinite(unbiased) else None, bayes_n=biased)
+        for name, unbiased, biased in zip(component.forces, *by_axis, strict=True)
     }
-
-
-def _by_axis(errors_n: FloatArray, component: Component) -> FloatArray:
-    """Root mean square over samples and units, (n, n_forces) -> (n_axes,)."""
-    return np.sqrt((errors_n**2).reshape(-1, len(component.axes)).mean(axis=0))
-
-
-def _coverage(decoupler: Decoupler, columns_ohm: FloatArray, missed_n: FloatArray) -> list[tuple[float, float]]:
-    """Shares of errors (n, n_forces) [N] within the 68 % and the 95 % half-width by axis."""
-    n_axes = len(decoupler.component.axes)
-    within = [(missed_n <= width).reshape(-1, n_axes) for width in decoupler.half_widths_of(columns_ohm)]
-    return [(float(one), float(two)) for one, two in zip(*(w.mean(axis=0) for w in within), strict=True)]
 
 
 def as_plain(assessed: dict[str, Assessment]) -> dict[str, Any]:

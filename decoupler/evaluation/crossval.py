@@ -81,23 +81,16 @@ def jobs_of(
     loads = split_folds(len(by_load), folds, training.seed)
     parts = [np.concatenate([by_load[number] for number in part]) for part in loads]
     every = np.arange(len(data.force_n))
-    return [(fold, data, component, network, training, response, np.setdiff1d(every, part), part) for part in parts]
+    settings = {"component": component, "network": network, "training": training, "response": response}
+    return [(fold, data, settings, np.setdiff1d(every, part), part) for part in parts]
 
 
-def fold(
-    data: Samples,
-    component: str,
-    network: NetworkConfig,
-    training: TrainingConfig,
-    response: "ArrayResponse | None",
-    trained_on: np.ndarray,
-    tested_on: np.ndarray,
-) -> Fold:
-    """Train on some samples of `data` and test on others, in whatever process this runs."""
+def fold(data: Samples, settings: dict[str, Any], trained_on: np.ndarray, tested_on: np.ndarray) -> Fold:
+    """Train on some samples of `data` and test on others, in whatever process this runs; settings are as of `train`."""
     from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
 
     started = time.perf_counter()
-    model = train(data[trained_on], component, network, training, response=response, judged=False)
+    model = train(data[trained_on], **settings, judged=False)
     seconds, outcome = time.perf_counter() - started, model.made_from["outcome"]
     errors = evaluate(model, data[tested_on])
     return Fold(errors=errors, iterations=outcome["iterations"], reason=outcome["reason"], seconds=seconds)

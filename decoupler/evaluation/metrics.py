@@ -43,41 +43,29 @@ def force_errors(predicted_n: FloatArray, actual_n: FloatArray) -> ForceErrors:
     >>> force_errors(np.array([99.0, 202.0]), np.array([100.0, 200.0])).rel_err
     0.01
     """
-    found = ErrorSums()
-    found.add(predicted_n, actual_n)
-    return found.errors()
+    return _errors([_sums(predicted_n, actual_n)])
 
 
-class ErrorSums:
-    """Errors of one force component that are added up, block by block; see `force_errors`."""
-
-    def __init__(self) -> None:
-        self.n, self.squares, self.ratios = 0, 0.0, 0.0
-        self.smallest, self.largest = np.inf, 0.0
-
-    def add(self, predicted_n: FloatArray, actual_n: FloatArray) -> None:
-        """Count predicted forces against the actual ones; both of the same shape."""
-        if predicted_n.shape != actual_n.shape or not actual_n.size:
-            raise SampleError(
-                f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: give both alike, with samples."
-            )
-        error, size = np.abs(predicted_n - actual_n), np.abs(actual_n)
-        self.n += error.size
-        self.squares += float(np.sum(error**2))
-        self.smallest = min(self.smallest, float(size.min()))
-        self.largest = max(self.largest, float(size.max()))
-        if self.smallest > BOUNDED_AWAY * self.largest:
-            self.ratios += float(np.sum(error / size))
-
-    def errors(self) -> ForceErrors:
-        """Errors over all that was added."""
-        rmse_n = float(np.sqrt(self.squares / self.n))
-        bounded = self.smallest > BOUNDED_AWAY * self.largest
-        return ForceErrors(
-            rel_err=self.ratios / self.n if bounded else None,
-            rmse_n=rmse_n,
-            full_scale_pct=100.0 * rmse_n / self.largest if self.largest > 0 else None,
+def _sums(predicted_n: FloatArray, actual_n: FloatArray) -> tuple[float, ...]:
+    """Of a block of forces: their number, sums of squared and of relative errors, smallest and largest |F|."""
+    if predicted_n.shape != actual_n.shape or not actual_n.size:
+        raise SampleError(
+            f"predicted_n has shape {predicted_n.shape}, actual_n {actual_n.shape}: give both alike, with samples."
         )
+    error, size = np.abs(predicted_n - actual_n), np.abs(actual_n)
+    with np.errstate(all="ignore"):  # of forces near 0 the relative errors are not given
+        return error.size, np.sum(error**2), np.sum(error / size), size.min(), size.max()
+
+
+def _errors(blocks: Iterable[tuple[float, ...]]) -> ForceErrors:
+    """Errors over all blocks, of `_sums`."""
+    n, squares, ratios, smallest, largest = zip(*blocks, strict=True)
+    rmse_n, full_n = float(np.sqrt(sum(squares) / sum(n))), float(max(largest))
+    return ForceErrors(
+        rel_err=float(sum(ratios) / sum(n)) if min(smallest) > BOUNDED_AWAY * full_n else None,
+        rmse_n=rmse_n,
+        full_scale_pct=100.0 * rmse_n / full_n if full_n > 0 else None,
+    )
 
 
 def component_errors(predicted_n: FloatArray, data: Samples, component: Component) -> dict[str, ForceErrors]:
@@ -89,13 +77,12 @@ def errors_over(
     blocks: Iterable[Samples], forces: Callable[[FloatArray], FloatArray], component: Component
 ) -> dict[str, ForceErrors]:
     """Errors over blocks of samples of what gives forces (n, rows, cols, n_axes) [N] for resistances [Ω]."""
-    sums = {name: ErrorSums() for name in component.forces}
+    sums = []
     for data in blocks:
         predicted_n = forces(data.resistance_ohm)
-        actual = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
-        for axis, name in enumerate(component.forces):
-            sums[name].add(predicted_n[..., axis], actual[..., axis])
-    return {name: found.errors() for name, found in sums.items()}
+        actual_n = force_columns(data.force_n, component).reshape(*data.force_n.shape[:3], -1)
+        sums.append([_sums(predicted_n[..., axis], actual_n[..., axis]) for axis in range(len(component.axes))])
+    return {name: _errors(own) for name, own in zip(component.forces, zip(*sums, strict=True), strict=True)}
 
 
 @one_blas_thread()  # `forces` has a thread a core of its own

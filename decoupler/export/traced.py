@@ -63,8 +63,9 @@ class Traced(NDArrayOperatorsMixin):
     __hash__ = object.__hash__  # one is only itself; == compares elements
 
     def __array_ufunc__(self, ufunc: Any, method: str, *given: Any, **options: Any) -> Any:
-        if method != "__call__" or options.keys() - {"out"}:  # given by += and the like
-            raise refusal(f"{ufunc.__name__}.{method}")
+        refuse(
+            method != "__call__" or options.keys() - {"out"}, f"{ufunc.__name__}.{method}"
+        )  # += and the like give out
         return _product(*given) if ufunc is np.matmul else _applied(ufunc, *given)
 
     def __array_function__(self, function: Any, _: Any, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
@@ -80,8 +81,7 @@ class Traced(NDArrayOperatorsMixin):
         return _applied(function, *given)
 
     def __getattr__(self, name: str) -> Any:
-        if name not in MOVES:
-            raise refusal(name)
+        refuse(name not in MOVES, name)
         return lambda *given, **options: _moved(methodcaller(name, *given, **options), self)
 
     def __getitem__(self, key: Any) -> Any:
@@ -91,7 +91,8 @@ class Traced(NDArrayOperatorsMixin):
         return len(self.values)
 
     def __bool__(self) -> bool:
-        raise refusal("a decision by what is read")
+        refuse(True, "a decision by what is read")
+        return False
 
     def any(self) -> bool:
         """Of some scan it is true."""
@@ -104,8 +105,7 @@ class Traced(NDArrayOperatorsMixin):
     def sum(self, axis: int) -> "Traced":
         """Sum along one axis that is not that of scans."""
         axis = range(self.values.ndim)[axis]
-        if axis == 0:
-            raise refusal("a sum over scans")
+        refuse(axis == 0, "a sum over scans")
         return _recorded("sum", methodcaller("sum", axis), _real(self), detail=axis)
 
     @property
@@ -134,12 +134,13 @@ class Traced(NDArrayOperatorsMixin):
         return [*dict.fromkeys(step for each in self.inputs for step in each.steps), self]
 
 
-def refusal(what: str) -> ExportError:
-    """What is said of a model that does what no exported form does."""
-    return ExportError(
-        f"models that need {what} are not exported, such as those of finite strain: decode in Python or torch, or "
-        "train on linear samples alone."
-    )
+def refuse(if_so: Any, what: str) -> None:
+    """Refuse a model that does what no exported form does."""
+    if if_so:
+        raise ExportError(
+            f"models that need {what} are not exported, such as those of finite strain: decode in Python or torch, or "
+            "train on linear samples alone."
+        )
 
 
 def _given(values: Any, ndim: int) -> Traced:
@@ -148,8 +149,7 @@ def _given(values: Any, ndim: int) -> Traced:
         return values
     values = np.asarray(values)
     values = values.reshape((1,) * (ndim - values.ndim) + values.shape)
-    if (values != values[:1]).any():
-        raise refusal("an operation that tells scans apart")
+    refuse((values != values[:1]).any(), "an operation that tells scans apart")
     return Traced(values[:1].astype(bool if values.dtype == bool else float), None, "constant")
 
 
@@ -169,18 +169,18 @@ def _real(values: Traced) -> Any:
 def _applied(function: Callable[..., Any], *given: Any) -> Traced:
     """An operation on elements. Sums of constants become one, and factors of matrix products go into the matrices."""
     name = function.__name__
-    if name not in ELEMENTWISE:
-        raise refusal(name)
+    refuse(name not in ELEMENTWISE, name)
     ndim = max(len(getattr(each, "shape", ())) for each in given)
     inputs = [_given(each, ndim) for each in given]
-    if any(len(each.shape) != ndim for each in inputs):
-        raise refusal("an operation that mixes scans")
+    refuse(any(len(each.shape) != ndim for each in inputs), "an operation that mixes scans")
     if name not in ("where", "bitwise_and", "bitwise_or", "invert"):
         inputs = [*map(_real, inputs)]
     if name in ("add", "multiply") and inputs[0].operation == "constant":
         inputs.reverse()
     first, last = inputs[0], inputs[-1]
     if last.operation == "constant":
+        if name == "power" and np.all(last.values == 1.0):
+            return first
         if name == "power" and np.all(last.values == 2.0):
             return first * first
         if name == "power" and np.all(last.values == 0.5):
@@ -207,8 +207,8 @@ def _scaled(product: Traced, factor: Traced) -> Traced | None:
 def _product(left: Any, right: Any) -> Traced:
     """A matrix product; of a concatenation it is the sum of its parts' products."""
     known, dims = [not isinstance(each, Traced) for each in (left, right)], (len(left.shape), len(right.shape))
-    if not (dims[1] == 2 if known[1] else dims[1] > 2 and dims[0] == (2 if known[0] else dims[1])):
-        raise refusal("a matrix product that mixes scans")
+    apart = dims[1] == 2 if known[1] else dims[1] > 2 and dims[0] == (2 if known[0] else dims[1])
+    refuse(not apart, "a matrix product that mixes scans")
     if not known[1]:
         return _recorded("matmul", np.matmul, _given(left, 3), right)
     if left.operation == "concat":
@@ -227,8 +227,8 @@ def _moved(move: Callable[..., Any], *given: Any) -> Any:
     numbers = np.arange(n * ends[-1]).reshape(n, -1)
     by_part = zip(np.split(numbers, ends[:-1], axis=1), parts, strict=True)
     places = move(*(rows.reshape(n, *part.shape[1:]) for rows, part in by_part))
-    if places.shape[:1] != (n,) or np.ptp(places.reshape(n, -1) - numbers[:, :1], axis=0).any():
-        raise refusal("a move of elements from scan to scan")
+    mixed = places.shape[:1] != (n,) or np.ptp(places.reshape(n, -1) - numbers[:, :1], axis=0).any()
+    refuse(mixed, "a move of elements from scan to scan")
     if len(parts) == 1:
         return _taken(parts[0], places[0])
     inputs = [each for part in parts for each in (part.inputs if part.operation == "concat" else [part])]

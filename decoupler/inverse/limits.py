@@ -36,28 +36,18 @@ def cramer_rao(
 
     Notes
     -----
-    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹, linearised about each sample's true forces: J of the lengths, Σ of their errors. With
-    as many lengths as forces that is J⁻¹ Σ J⁻ᵀ.
+    The diagonal of (Jᵀ Σ⁻¹ J)⁻¹, linearised about each sample's true forces: J of the lengths, Σ of their errors.
     """
     n_readable = forward.n_pillars if readable is None else int(readable.sum())
     if n_readable < forward.n_forces:
         return np.full_like(force_n, np.inf)
     found = np.zeros_like(force_n)
     if not errors.is_exact:
-        for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
-            if J.shape[1] == J.shape[2]:
-                inverse = np.linalg.inv(J)
-                own, common = inverse * deviation[:, None], inverse @ U
-                found[part] = np.sqrt((own**2).sum(axis=2) + (common**2).sum(axis=2))
-            else:
-                covariance = _covariance(forward, deviation, U)
-                if U.shape[2]:
-                    told = np.linalg.solve(np.linalg.cholesky(covariance), J)
-                else:  # a diagonal one
-                    told = J / np.sqrt(covariance.diagonal(axis1=1, axis2=2))[..., None]
-                held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
-                root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
-                found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
+        for part, J, covariance in _linearised(forward, force_n, errors, shape, readable):
+            told = np.linalg.solve(np.linalg.cholesky(covariance), J)
+            held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
+            root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
+            found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
     return found
 
 
@@ -82,10 +72,9 @@ def bayes(
     """
     C = np.cov((force_n if usual_n is None else usual_n).T, bias=True).reshape(force_n.shape[1], -1)
     found = np.empty_like(force_n)
-    for part, J, deviation, U in _linearised(forward, force_n, errors, shape, readable):
+    for part, J, covariance in _linearised(forward, force_n, errors, shape, readable):
         JC = J @ C
-        S = JC @ J.swapaxes(1, 2) + _covariance(forward, deviation, U)
-        taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(S, JC))
+        taken = np.einsum("nmf,nmf->nf", JC, np.linalg.solve(JC @ J.swapaxes(1, 2) + covariance, JC))
         found[part] = np.sqrt(np.maximum(C.diagonal() - taken, 0.0))
     return found
 
@@ -96,8 +85,9 @@ def _linearised(
     errors: ReadingError,
     shape: tuple[int, int],
     readable: NDArray[np.bool_] | None,
-) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
-    """Chunks of samples: derivatives of the readable lengths, deviations of their errors, changes by shared ones."""
+) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """Chunks of samples: derivatives of the readable lengths (c, P, Q) [mm/N], covariance of their errors [mm²]."""
+    floor = 1e-9 * forward.rest_mm.max()  # keeps the covariance invertible without noise
     for start in range(0, len(force_n), CHUNK):
         part = slice(start, start + CHUNK)
         lengths, J = forward.jacobian(force_n[part])
@@ -105,10 +95,5 @@ def _linearised(
         deviation, U = 0.5 * deviation / lengths, 0.5 * U / lengths[..., None]
         if readable is not None:
             J, deviation, U = J[:, readable], deviation[:, readable], U[:, readable]
-        yield part, J, deviation, U
-
-
-def _covariance(forward: SensorModel, deviation: FloatArray, U: FloatArray) -> FloatArray:
-    """Of errors of lengths, (n, P, P) [mm²], by what each has alone (n, P) and what they share (n, P, m) [mm]."""
-    floor = 1e-9 * forward.rest_mm.max()  # keeps the matrix invertible without noise
-    return np.maximum(deviation, floor)[..., None] ** 2 * np.eye(deviation.shape[1]) + U @ U.swapaxes(1, 2)
+        alone = np.maximum(deviation, floor)[..., None] ** 2 * np.eye(deviation.shape[1])
+        yield part, J, alone + U @ U.swapaxes(1, 2)

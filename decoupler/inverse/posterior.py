@@ -26,14 +26,6 @@ LEAST = 1e-2  #: variance of loads along any direction, over their mean variance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """The most probable forces of n samples, and how sure they are."""
-
-    force_n: FloatArray  #: (n, Q)
-    covariance_n2: FloatArray  #: (n, Q, Q)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior:
     """Of the Q forces on an array of P pillars, by operations that tensors of torch know as well."""
 
@@ -76,8 +68,8 @@ class Posterior:
         shared_ohm: FloatArray,
         read: NDArray[np.bool_],
         unsure_n: FloatArray | None = None,
-    ) -> Found:
-        """Most probable forces of readings (n, P) [Ω] by first answers (n, Q) [N].
+    ) -> tuple[FloatArray, FloatArray]:
+        """Most probable forces (n, Q) [N] of readings (n, P) [Ω] by first answers (n, Q) [N], and their covariance.
 
         Errors of the readings have deviations (n, P) [Ω] of each pillar alone, and (n, P, m) [Ω] that pillars share,
         which may come of a sensor that is not quite known. `read` (P,) says which pillars are read. `unsure_n`
@@ -95,7 +87,7 @@ class Posterior:
         given, starts = (resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n), range(0, len(first_n), CHUNK)
         parts = [self._found(read, *(values[start : start + CHUNK] for values in given)) for start in starts]
         force_n, covariance_n2 = (namespace(first_n).concat(each) for each in zip(*parts, strict=True))
-        return Found(force_n=force_n, covariance_n2=covariance_n2)
+        return force_n, covariance_n2
 
     def _found(self, read: NDArray[np.bool_], *given: FloatArray) -> tuple[FloatArray, FloatArray]:
         resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n = given

@@ -9,7 +9,6 @@ readings are turned around for it: where conduction is far from linear these may
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,14 +177,14 @@ class StrainMaps:
     def _solved(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         found, enough = np.array(force_n, dtype=np.float64), CONVERGED * max(np.abs(force_n).max(initial=0.0), 1.0)
 
-        def at(state_n: FloatArray, on: NDArray[np.intp]) -> _Off:
+        def at(state_n: FloatArray, on: NDArray[np.intp]) -> tuple[FloatArray, ...]:
             misfit, J = self._misfit(force_n[on], state_n)
-            return _Off(np.linalg.norm(misfit, axis=1), misfit, J)
+            return np.linalg.norm(misfit, axis=1), misfit, J
 
-        def step(here: _Off, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
-            Jt = here.J.swapaxes(1, 2)
-            M = Jt @ here.J + damping[:, None, None] * np.eye(here.J.shape[1])
-            return np.asarray(np.linalg.solve(M, Jt @ here.misfit[..., None])[..., 0])
+        def step(here: tuple[FloatArray, ...], damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            _, misfit, J = here
+            M = J.swapaxes(1, 2) @ J + damping[:, None, None] * np.eye(J.shape[1])
+            return np.asarray(np.linalg.solve(M, J.swapaxes(1, 2) @ misfit[..., None])[..., 0])
 
         found, (_, misfit, _) = descended(found, at, step, MAX_STEPS, DAMPING, enough=enough)
         left = np.sqrt((misfit.reshape(len(misfit), -1, N_AXES) ** 2).mean(axis=1))
@@ -241,14 +240,6 @@ class StrainMaps:
         own = self.own(eye(N_AXES * k, self.influence))
         by_state = xp.concat([own, xp.zeros_like(own[:, :1])], axis=1)[:, np.column_stack([np.arange(k), self.near])]
         return by_state.reshape(N_AXES * k, k, -1).swapaxes(0, 1).swapaxes(1, 2).reshape(-1).reshape(k, 9 * OWN, -1)
-
-
-class _Off(NamedTuple):
-    """Forces less those that act in states."""
-
-    size: FloatArray  #: (n,)
-    misfit: FloatArray  #: (n, 3 k) [N]
-    J: FloatArray  #: of those that act by the states, (n, 3 k, 3 k)
 
 
 def _doubled(values: FloatArray, numbers: NDArray[np.int64]) -> FloatArray:

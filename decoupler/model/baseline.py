@@ -43,7 +43,7 @@ class LeastSquares:
 
     component: Component
     coefficients: FloatArray  #: (n_in + 1, n_out), the constant last
-    dead: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): pillars that are not looked at
+    dead: NDArray[np.bool_]  #: (rows, cols, n_pillars): pillars that are not looked at
     layout: Layout = PAPERS
 
     @classmethod

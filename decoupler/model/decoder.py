@@ -6,7 +6,7 @@ pillars, and `Decoder.without` is the decoder that does without them.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from common.storage.files import digest
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Component, Scaling
+from dataset.samples import SampleError
+from decoupler.data.columns import Component, Scaling, pillar_columns
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 from geometry.wiring import pillars_of_wires
@@ -37,10 +38,14 @@ class Decoded:
     tested: tuple[FloatArray, FloatArray] | None = None  #: of `Decoder.consistency`
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Decoder(ABC):
     """From resistances (n, rows, cols, n_pillars) [Ω] to forces on units; never changed, only used."""
 
-    made_from: dict[str, Any]
+    design: SensorDesign | None  #: the sensor it was made for; None if that is unknown
+    errors: ReadingError  #: of the readings that its deviations are for
+    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): pillars that say nothing; see `without`
+    made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
     moments: ClassVar[int] = 0  #: of a unit, beside its forces: see `TouchDecoder`
 
     if TYPE_CHECKING:  # fields of some, properties of others
@@ -52,24 +57,22 @@ class Decoder(ABC):
         @property
         def component(self) -> Component: ...
         @property
-        def rows(self) -> int: ...
-        @property
-        def cols(self) -> int: ...
-        @property
-        def design(self) -> SensorDesign | None: ...
-        @property
         def layout(self) -> Layout: ...
         @property
         def output_scaling(self) -> Scaling:
             """Of forces, over those that it knows."""
 
         @property
-        def errors(self) -> ReadingError:
-            """Of the readings that its deviations are for."""
-
-        @property
         def is_identified(self) -> bool:
             """It is of one sensor, whose gains it knows."""
+
+    @property
+    def rows(self) -> int:
+        return len(self.dead)
+
+    @property
+    def cols(self) -> int:
+        return self.dead.shape[1]
 
     def follower(self) -> Any:
         """The same decoder for scans that come one after another."""
@@ -116,17 +119,29 @@ class Decoder(ABC):
         """
         return None
 
+    def taken(self, resistance_ohm: FloatArray) -> FloatArray:
+        """Resistances (n, rows, cols, n_pillars) of the component's pillars, (n, n_in) [Ω]; errors as of `columns`."""
+        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
+        columns = pillar_columns(resistance_ohm, self.component, self.layout, self.dead)
+        if resistance_ohm.shape[1:3] != (self.rows, self.cols):
+            given = " × ".join(map(str, resistance_ohm.shape[1:3]))
+            raise SampleError(
+                f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
+                "train a model on data of this sensor."
+            )
+        return columns
+
     @abstractmethod
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
         """What is decoded of resistances (n, rows, cols, n_pillars) [Ω], (n, n_in); no such are a `SampleError`."""
 
-    @abstractmethod
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing."""
+        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
 
-    @abstractmethod
     def read_by(self, errors: ReadingError) -> Self:
         """The same decoder for readings that err so."""
+        return replace(self, errors=errors)
 
     @property
     def design_hash(self) -> str | None:
@@ -153,7 +168,7 @@ class Decoder(ABC):
     @cached_property
     def read(self) -> NDArray[np.bool_]:
         """Which pillars it looks at, (rows, cols, n_pillars)."""
-        found = np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
+        found = np.zeros_like(self.dead)
         found[..., self.component.pillars(self.layout)] = True
         return found & ~self.dead
 

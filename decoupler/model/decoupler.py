@@ -3,29 +3,20 @@
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.imperfections import PAPERS
 from dataset.measurement import ReadingError
 from dataset.resistance import rest_resistances
-from dataset.samples import SampleError
-from decoupler.data.columns import (
-    Columns,
-    Component,
-    Scaling,
-    in_blocks,
-    pillar_columns,
-    readable_columns,
-)
+from decoupler.data.columns import Columns, Component, Scaling, in_blocks, namespace, pillar_columns
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.decoder import Decoder
+from decoupler.model.decoder import BEYOND, Decoder
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.front import Front
 from decoupler.model.left_out import LeftOut
@@ -46,8 +37,6 @@ class Decoupler(Decoder):
     """A network as trained; never changed, only used."""
 
     component: Component
-    rows: int
-    cols: int
     form: NetworkConfig
     front: Front
     network: Network
@@ -57,37 +46,27 @@ class Decoupler(Decoder):
     ensemble: Ensemble  #: draws of the sensor that it was identified as; none if it was trained on one sensor
     least_squares: LeastSquares  #: the baseline to beat, fitted to the same data
     dead: NDArray[np.bool_]  #: (rows, cols, n_pillars): pillars that cannot be read and are not looked at
-    left_out: NDArray[np.bool_]  #: the same shape: pillars that say nothing; see `Decoder.without`
-    design: SensorDesign | None  #: the sensor of the training data; None if they did not say
-    layout: Layout = PAPERS  #: the design's, if it is known
-    made_from: dict[str, Any] = field(default_factory=dict)  #: cache key, data hash, settings, how training ended
-
-    def __post_init__(self) -> None:
-        if self.design is not None:
-            object.__setattr__(self, "layout", self.design.unit.layout)
+    layout: Layout
 
     @classmethod
     def of(
         cls, data: Columns, form: NetworkConfig, front: Front, network: Network, design: SensorDesign | None
     ) -> "Decoupler":
         """A network that was trained on samples, as unsure of forces as before."""
-        dead = np.zeros((*data.shape, len(data.layout.pillars)), dtype=bool)
         output_scaling = Scaling.fitted(data.force_n)
         return Decoupler(
             component=data.component,
-            rows=data.shape[0],
-            cols=data.shape[1],
             form=form,
             front=front,
             network=network,
             output_scaling=output_scaling,
             usual=UsualLoads.of(data),
-            uncertainty=Uncertainty.untold(data.errors, output_scaling.half_range, network.output, data.component),
+            uncertainty=Uncertainty.untold(output_scaling.half_range, network.output, data.component),
             ensemble=Ensemble.of_none(*(data.resistance_ohm.shape[1], data.force_n.shape[1])),
             least_squares=LeastSquares.fitted(data),
-            dead=dead if data.dead is None else data.dead,
-            left_out=dead,
+            dead=data.dead,
             design=design,
+            errors=data.errors,
             layout=data.layout,
         )
 
@@ -120,17 +99,13 @@ class Decoupler(Decoder):
         return outputs.reshape(self._shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
         one, two = self.each(resistance_ohm, lambda own, ohms, _: own.half_widths_of(own.columns(ohms)))
         return one.reshape(self._shape), two.reshape(self._shape)
 
     def deviations(
         self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % of the errors of `forces` [N], and the covariance (n, m, m) of m sums of forces.
-
-        `weights` (rows·cols·n_axes, m) are those of the forces in each sum. `own` are relative deviations that each
-        reading has besides, of the shape of the resistances. It costs as much as `half_widths`.
+        """As of `Decoder.deviations`; it costs as much as `half_widths`.
 
         Notes
         -----
@@ -154,11 +129,11 @@ class Decoupler(Decoder):
             slopes = [self.derivatives(columns[k : k + DERIVATIVES]) for k in range(0, len(columns), DERIVATIVES)]
             factors = np.concatenate(slopes) * (self._own_ohm(columns, own) * ~self._missing)[:, None]
             more_n2 = factors @ factors.swapaxes(1, 2)
-        own_n2, (scale, two) = self._own_variance(columns)
+        own_n2, (scale, two) = self.own_variance(columns)
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
-        for chunk, factors in self._error_factors(columns, found.errors, found.drift_factor):
+        for chunk, factors in self._error_factors(columns):
             variance[chunk] += (factors**2).sum(axis=2)
             by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
@@ -170,7 +145,7 @@ class Decoupler(Decoder):
 
     def _own_ohm(self, columns: FloatArray, own: FloatArray) -> FloatArray:
         """Deviations (n, n_in) [Ω] of readings that err by relative ones (n, rows, cols, n_pillars) besides."""
-        return columns * pillar_columns(own, self.component, self.layout, self._dead)
+        return columns * pillar_columns(own, self.component, self.layout, self.dead)
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:
@@ -191,6 +166,12 @@ class Decoupler(Decoder):
         chi2, limit = self.each(resistance_ohm, ask)
         return chi2, limit
 
+    def read_by(self, errors: ReadingError) -> Self:
+        drifts = ("drift", "drift_tilt", "drift_offset_ohm")
+        same = all((getattr(errors, name) > 0) == (getattr(self.errors, name) > 0) for name in drifts)
+        known = self.uncertainty if same else replace(self.uncertainty, drift_factor=None)  # of other drifts
+        return replace(self, errors=errors, uncertainty=known)
+
     @cached_property
     def load_test(self) -> LoadTest | None:
         """The test whether a usual load explains a reading; None if nobody knows rest."""
@@ -198,34 +179,49 @@ class Decoupler(Decoder):
 
     def half_widths_of(self, columns_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half-widths for columns of resistances, (n, n_in) [Ω] -> twice (n, n_out) [N]."""
-        found = self.uncertainty
-        own_n2, (one, two) = self._own_variance(columns_ohm)
-        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm, found.errors, found.drift_factor))
+        own_n2, (one, two) = self.own_variance(columns_ohm)
+        deviation_n = np.sqrt(own_n2 + self.noise_variance(columns_ohm))
         return deviation_n * one, deviation_n * two
 
-    def _own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    def own_variance(self, columns_ohm: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+        """`Uncertainty.own_variance` for columns of resistances, (n, n_in) [Ω]."""
         A = self.activations(columns_ohm)
         force_n = self.output_scaling.unscale(A @ self.network.output.T)
         return self.uncertainty.own_variance(A, force_n, self.output_scaling.half_range)
 
-    def noise_variance(
-        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None = None
-    ) -> FloatArray:
+    def noise_variance(self, columns_ohm: FloatArray) -> FloatArray:
         """Variance of forces (n, n_out) [N²] that errors of readings (n, n_in) [Ω] and of the sensor's model cause."""
         found = np.zeros((len(columns_ohm), len(self.output_scaling.centre)))
-        for chunk, factors in self._error_factors(columns_ohm, errors, drift_factor):
+        for chunk, factors in self._error_factors(columns_ohm):
             found[chunk] = (factors**2).sum(axis=2)
         return found
 
-    def _error_factors(
-        self, columns_ohm: FloatArray, errors: ReadingError, drift_factor: FloatArray | None
-    ) -> Iterator[tuple[slice, FloatArray]]:
+    def reading_errors(
+        self, columns_ohm: FloatArray, state_n: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Deviations (n, n_in) [Ω] of what readings err by alone, and what they err by together, (n, n_in, m) [Ω].
+
+        That is by one deviation of each drift, then by draws of the sensor in states (n, Q) [N], by default those of
+        the inverse if there is one. Also of tensors of torch.
+        """
+        errors, shared = self.errors, columns_ohm[:, :, None][..., :0]
+        if errors.has_drift:
+            shared = errors.shared(columns_ohm, self.rows, self.cols)
+        if len(self.ensemble) and (forward := self.forward) is not None:
+            if state_n is None and self.inverse is not None:
+                state_n = self.inverse.values(columns_ohm)
+            draws = [] if state_n is None else [self.ensemble.factors(forward, state_n)]
+            shared = namespace(columns_ohm).concat([shared, *draws], axis=2)
+        return errors.deviation(columns_ohm), shared
+
+    def _error_factors(self, columns_ohm: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
         """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
 
-        Errors are one standard deviation of each reading, of each drift that pillars share, and each draw of the
-        ensemble over the root of their number. Where nothing errs there is no chunk.
+        Errors are those of `reading_errors`, drifts as far as forces err along them. Where nothing errs there is no
+        chunk.
         """
-        if errors.is_exact and not len(self.ensemble) and self.filling is None:
+        drift_factor = self.uncertainty.drift_factor
+        if self.errors.is_exact and not len(self.ensemble) and self.filling is None:
             return
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
@@ -233,29 +229,19 @@ class Decoupler(Decoder):
             whole = slopes = self.derivatives(columns)
             if self.filling is not None:
                 slopes = self.filling.by_read(columns, whole)
-            factors = slopes * errors.deviation(columns)[:, None]
-            common = []
-            if errors.has_drift:
-                shared = slopes @ errors.shared(columns, self.rows, self.cols)
-                common.append(shared if drift_factor is None else shared @ drift_factor)
-            if self.inverse is not None and len(self.ensemble):
-                common.append(slopes @ self.ensemble.factors(self.inverse.forward, self.inverse.values(columns)))
+            own, shared = self.reading_errors(columns)
+            common = [slopes @ shared] if shared.shape[2] else []
+            if drift_factor is not None and self.errors.has_drift:
+                common[0][..., : len(drift_factor)] = common[0][..., : len(drift_factor)] @ drift_factor
             if self.filling is not None:
                 common.append(self.filling.by_missing(columns, whole))
+            factors = slopes * own[:, None]
             yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
-
-    def without(self, pillars: NDArray[np.bool_]) -> Self:
-        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing.
-
-        In their places stands what the others foretell of usual loads; where the response is known, that is moved
-        towards what it shows under the forces that come out, as far as these tell it (`LeftOut`).
-        """
-        return replace(self, left_out=pillars | self.left_out)
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:
         """Which inputs are left out, (n_in,)."""
-        return self.left_out.reshape(-1)[self.places] & self.readable
+        return (False if self.left_out is None else self.left_out.reshape(-1)[self.places]) & self.readable
 
     @cached_property
     def filling(self) -> LeftOut | None:
@@ -293,45 +279,41 @@ class Decoupler(Decoder):
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Places of its inputs in one sample's (rows, cols, n_pillars) resistances laid flat, (n_in,)."""
-        n_units = self.rows * self.cols
-        return np.arange(n_units * len(self.layout.pillars)).reshape(n_units, -1)[:, self.pillars].reshape(-1)
+        return np.arange(self.dead.size).reshape(self.dead.shape)[..., self.pillars].reshape(-1)
 
     @cached_property
     def readable(self) -> NDArray[np.bool_]:
         """Which inputs can be read, (n_in,); the others have `DEAD_OHM` in their place."""
-        return readable_columns(self.component, self.layout, self._dead, len(self.places))
-
-    @cached_property
-    def _dead(self) -> NDArray[np.bool_] | None:
-        return self.dead if self.dead.any() else None
-
-    @property
-    def errors(self) -> ReadingError:
-        """Of the readings that its deviations are for."""
-        return self.uncertainty.errors
+        return ~self.dead[..., self.pillars].reshape(-1)
 
     @cached_property
     def usual_ohm(self) -> FloatArray | None:
         """Those of the mean load of training, else at rest."""
         ohms = self.rest_resistances()
         if self.usual.log_ohm is not None:
-            ohms = np.ones((self.rows, self.cols, len(self.layout.pillars))) if ohms is None else ohms.copy()
+            ohms = np.ones(self.dead.shape) if ohms is None else ohms.copy()
             ohms.reshape(-1)[self.places] = np.exp(self.usual.log_ohm)
         return ohms
 
+    @cached_property
+    def _reach(self) -> tuple[FloatArray, FloatArray]:
+        """Where no design says how far readings go, twice as far as in training, too."""
+        low, high = super()._reach
+        if self.design is None and self.inverse is None:
+            ends = self.front.scaling.centre + np.outer([-1.0, 1.0], self.front.scaling.half_range)
+            least, most = self.front.feature.resistances(ends)
+            low.flat[self.places] = np.minimum(low.flat[self.places], least / BEYOND)
+            high.flat[self.places] = np.maximum(high.flat[self.places], BEYOND * most)
+        return low, high
+
     @property
     def usual_readings(self) -> tuple[FloatArray, FloatArray] | None:
-        n = self.rows * self.cols * len(self.layout.pillars)
-        return self.usual.readings(self.places, n)
-
-    def read_by(self, errors: ReadingError) -> Self:
-        """The model with half-widths for readings that err so."""
-        return replace(self, uncertainty=replace(self.uncertainty, errors=errors))
+        return self.usual.readings(self.places, self.dead.size)
 
     def rest_resistances(self) -> FloatArray | None:
-        """Resistances with nothing on the sensor, (rows, cols, n_pillars) [Ω]; None if its design is unknown."""
         if self.design is None:
-            return None
+            stated = self.made_from.get("rest_ohm")  # of samples without a load
+            return None if stated is None else np.reshape(stated, self.dead.shape).astype(np.float64)
         rest_ohm = np.tile(rest_resistances(self.design), (self.rows, self.cols, 1))
         if self.forward is not None:
             rest_ohm[..., self.pillars] = self.forward.at_rest_ohm().reshape(self.rows, self.cols, -1)
@@ -340,24 +322,16 @@ class Decoupler(Decoder):
     def untrusted(self) -> list[tuple[int, int, str]]:
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
         limit_n = None
-        if self.inverse is not None and self._dead is not None:
-            errors = ReadingError(noise=self.uncertainty.errors.noise, bits=self.uncertainty.errors.bits)
-            shape = self.rows, self.cols
+        if self.inverse is not None and self.dead.any():
+            errors, shape = ReadingError(noise=self.errors.noise, bits=self.errors.bits), (self.rows, self.cols)
             limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors, shape)[0]
         lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))
         return [(int(row), int(col), self.component.forces[axis]) for row, col, axis in places]
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
-        """The resistances that are taken, (n, rows, cols, n_pillars) -> (n, n_in) [Ω]; refuses what `forces` does."""
-        resistance_ohm = np.asarray(resistance_ohm, dtype=np.float64)
-        columns = pillar_columns(resistance_ohm, self.component, self.layout, self._dead)
-        if resistance_ohm.shape[1:3] != (self.rows, self.cols):
-            given = " × ".join(map(str, resistance_ohm.shape[1:3]))
-            raise SampleError(
-                f"resistances are of {given} units, the model's sensor has {self.rows} × {self.cols}: "
-                "train a model on data of this sensor."
-            )
+        """The resistances that are taken, (n, n_in) [Ω], with what is left out filled in."""
+        columns = self.taken(resistance_ohm)
         return columns if self.filling is None else self.filling.filled(columns)
 
     def outputs(self, columns_ohm: FloatArray) -> FloatArray:

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import DEAD_OHM, namespace, rowwise
-from decoupler.inverse.sensor_model import ModelInverse
 from decoupler.model.decoder import MANY
 from decoupler.model.foretold import Foretold
-from decoupler.model.usual import MIN_NOISE, UsualLoads
+from decoupler.model.usual import MIN_NOISE
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import descended
 from geometry.layout import FloatArray
@@ -42,7 +41,6 @@ class LeftOut:
 
     decoder: "Decoupler"
     foretold: Foretold  #: logarithms of readings; without a covariance, of few samples, the mean, off by `SPREAD`
-    usual: UsualLoads
 
     @classmethod
     def of(cls, decoder: "Decoupler", missing: NDArray[np.bool_]) -> Self | None:
@@ -54,7 +52,7 @@ class LeftOut:
         if usual.log_ohm_covariance is not None:
             errors = _relative_errors(decoder, np.exp(usual.log_ohm)) * decoder.readable[:, None]
             S = np.where(np.outer(decoder.readable, decoder.readable), usual.log_ohm_covariance, S) + errors @ errors.T
-        return cls(decoder, Foretold.by(np.asarray(np.linalg.inv(S)), np.flatnonzero(missing), usual.log_ohm), usual)
+        return cls(decoder, Foretold.by(np.asarray(np.linalg.inv(S)), np.flatnonzero(missing), usual.log_ohm))
 
     def filled(self, columns_ohm: FloatArray) -> FloatArray:
         """Readings (n, n_in) [Ω] with what is left out filled in."""
@@ -68,14 +66,14 @@ class LeftOut:
             there[:, which] = np.exp(first[on] + delta)
             return there
 
-        def at(delta: FloatArray, on: NDArray[np.intp]) -> _Missed:
+        def at(delta: FloatArray, on: NDArray[np.intp]) -> tuple[FloatArray, ...]:
             m = self._missed(with_delta(delta, on))
-            return _Missed((rowwise(m, known.agree) * m + rowwise(delta, known.usual) * delta).sum(axis=1), m, delta)
+            return (rowwise(m, known.agree) * m + rowwise(delta, known.usual) * delta).sum(axis=1), m, delta
 
-        def step(now: _Missed, damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
-            by_missed, by_delta = self._steps(with_delta(now.delta, on), now.m, damping)
-            found = (by_missed @ now.m[..., None] - by_delta @ now.delta[..., None])[..., 0]
-            return np.clip(found, -MOST, MOST)
+        def step(now: tuple[FloatArray, ...], damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
+            _, m, delta = now
+            by_missed, by_delta = self._steps(with_delta(delta, on), m, damping)
+            return np.clip((by_missed @ m[..., None] - by_delta @ delta[..., None])[..., 0], -MOST, MOST)
 
         delta, _ = descended(np.zeros_like(first), at, step, REFINED, gained=GAINED)
         return with_delta(delta, np.arange(len(here)))
@@ -109,7 +107,7 @@ class LeftOut:
         if inverse is None or len(known.which) >= MANY or readable.sum() <= inverse.forward.n_forces:
             return None
         generator, forward = np.random.default_rng(0), inverse.forward
-        ohm = forward.resistances(self.usual.drawn(DRAWN, forward.n_forces, generator))
+        ohm = forward.resistances(self.decoder.usual.drawn(DRAWN, forward.n_forces, generator))
         by_error = _relative_errors(self.decoder, np.exp(known.mean))
         ohm = ohm * np.exp(generator.standard_normal((DRAWN, by_error.shape[1])) @ by_error.T)
         m = self._missed(np.where(readable, ohm, DEAD_OHM))
@@ -120,15 +118,11 @@ class LeftOut:
         by_force *= 1.0 - (forward.offset_ohm / forward.resistances(inverse.centre_n[None])[0])[known.which, None]
         return _Agreement(usual, agree, by_force)
 
-    @property
-    def _inverse(self) -> ModelInverse:
-        assert self.decoder.inverse is not None
-        return self.decoder.inverse
-
     def _missed(self, columns_ohm: FloatArray) -> FloatArray:
         """m: ln R under the decoded forces less as it stands in readings (n, n_in) [Ω], of what is left out, (n, k)."""
-        which = self.foretold.which
-        shown_ohm = self._inverse.forward.resistances(self.decoder.first_answers(columns_ohm))[:, which]
+        which, forward = self.foretold.which, self.decoder.forward
+        assert forward is not None
+        shown_ohm = forward.resistances(self.decoder.first_answers(columns_ohm))[:, which]
         return np.log(np.maximum(shown_ohm, MIN_WHOLE_OHM)) - np.log(columns_ohm[:, which])
 
     def _steps(
@@ -159,12 +153,8 @@ def first_filled(foretold: Foretold, columns_ohm: Any) -> Any:
 
 def _relative_errors(decoder: "Decoupler", ohm: FloatArray) -> FloatArray:
     """What independent errors of readings and of the sensor's model do to logarithms of resistances, (n_in, m)."""
-    errors, inverse = decoder.errors, decoder.inverse
-    shared = errors.shared(ohm[None], decoder.rows, decoder.cols)[0]
-    found = [np.diag(np.maximum(errors.deviation(ohm), MIN_NOISE * ohm)), shared]
-    if inverse is not None and len(decoder.ensemble):
-        found.append(decoder.ensemble.factors(inverse.forward, inverse.values(ohm[None]))[0])
-    return np.concatenate(found, axis=1) / ohm[:, None]
+    (own,), (shared,) = decoder.reading_errors(ohm[None])
+    return np.hstack([np.diag(np.maximum(own, MIN_NOISE * ohm)), shared]) / ohm[:, None]
 
 
 class _Agreement(NamedTuple):
@@ -173,11 +163,3 @@ class _Agreement(NamedTuple):
     usual: FloatArray  #: V⁻¹, (k, k)
     agree: FloatArray  #: N⁻¹, (k, k)
     by_force: FloatArray  #: slopes of ln R of what is left out at the mean load, (k, Q) [1/N]
-
-
-class _Missed(NamedTuple):
-    """Readings of n scans that are filled in."""
-
-    cost: FloatArray  #: (n,)
-    m: FloatArray  #: (n, k)
-    delta: FloatArray  #: (n, k)

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,8 +114,13 @@ class Network(ABC):
         return replace(self, output=output)
 
 
+def named(place: str) -> Any:
+    """What stands at a place "module:name"."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
 def form_named(net: Net) -> type[Network]:
     """The class of a form of network."""
-    module, _, name = NETWORKS[net].partition(":")
-    found: type[Network] = getattr(import_module(module), name)
+    found: type[Network] = named(NETWORKS[net])
     return found

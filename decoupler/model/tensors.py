@@ -1,6 +1,5 @@
-"""Parts of a decoupler with other arrays: the same computation on tensors of torch, with derivatives, or in float."""
+"""Parts of a decoupler with tensors of torch: the same computation, with derivatives."""
 
-from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,16 @@ def in_torch(part: Any, like: "Tensor") -> Any:
 
     What it computes of tensors (n, ...) then are tensors; what it checks of arrays cannot be asked.
     """
-    return converted(part, like.new_tensor)
+    if isinstance(part, SensorModel):
+        part = part.with_own_influences()
+    changed: dict[str, Any] = {}
+    for spec in fields(part):
+        value = getattr(part, spec.name)
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            changed[spec.name] = like.new_tensor(value)
+        elif is_dataclass(value) and not isinstance(value, SensorDesign | Layout | type):
+            changed[spec.name] = in_torch(value, like)
+    return replace(part, **changed)
 
 
 def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
@@ -38,18 +46,4 @@ def decoded_by(decoder: Decoupler, tensors: Any, columns_ohm: "Tensor") -> Any:
         return tensors.first_answers(columns_ohm)
     read, unsure_n = decoder.doubts(columns_ohm.detach().cpu().double().numpy())
     unsure = None if unsure_n is None else columns_ohm.new_tensor(unsure_n)
-    return tensors.refined(columns_ohm, doubts=(read, unsure)).force_n
-
-
-def converted(part: Any, convert: Callable[[np.ndarray], Any]) -> Any:
-    """A decoupler, or a part of one, with each real array converted."""
-    if isinstance(part, SensorModel):
-        part = part.with_own_influences()
-    changed: dict[str, Any] = {}
-    for spec in fields(part):
-        value = getattr(part, spec.name)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-            changed[spec.name] = convert(value)
-        elif is_dataclass(value) and not isinstance(value, SensorDesign | Layout | type):
-            changed[spec.name] = converted(value, convert)
-    return replace(part, **changed)
+    return tensors.refined(columns_ohm, doubts=(read, unsure))[0]

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import ReadingError
 from decoupler.data.columns import Component
 from geometry.layout import FloatArray
 
@@ -25,32 +24,24 @@ class Uncertainty:
     within. Misfit and scale go from those at rest to those under load with the square of the forces.
     """
 
-    errors: ReadingError  #: of the readings that it is for
     inverse_matrix: FloatArray  #: (n_features, n_features): (AᵀA + λI)⁻¹
-    misfit_n2: FloatArray  #: (n_out,): what noise does not explain of the training errors [N²]
+    #: (2, n_out): what noise does not explain of the training errors [N²], at rest and light touches, and under load
+    misfit_n2: FloatArray
     unexplained_n2: FloatArray  #: (n_out,): variance of the training errors [N²]
-    widths: FloatArray  #: (2, n_axes): of one and two deviations, relative to the normal distribution's
-    misfit_at_rest_n2: FloatArray  #: (n_out,): as `misfit_n2`, at rest and under light touches
-    widths_at_rest: FloatArray  #: (2, n_axes)
+    widths: FloatArray  #: (2, 2, n_axes): the same, of one and two deviations, relative to the normal distribution's
     light_n2: FloatArray  #: (1,): mean square of the forces of a light training sample [N²]
     #: (m, m): how far forces err along what m shared drifts do, a Cholesky factor in deviations of each; above 1, as
     #: load that is taken for drift counts, too. None without shared drifts
     drift_factor: FloatArray | None = None
 
     @classmethod
-    def untold(
-        cls, errors: ReadingError, half_range_n: FloatArray, output: FloatArray, component: Component
-    ) -> "Uncertainty":
+    def untold(cls, half_range_n: FloatArray, output: FloatArray, component: Component) -> "Uncertainty":
         """That of a network (output weights (n_out, n_features)) before anything has judged it: half of each range."""
-        unknown_n2, widths = half_range_n**2, np.ones((2, len(component.axes)))
         return cls(
-            errors=errors,
             inverse_matrix=np.zeros([output.shape[1]] * 2),
-            misfit_n2=unknown_n2,
-            unexplained_n2=unknown_n2,
-            widths=widths,
-            misfit_at_rest_n2=unknown_n2,
-            widths_at_rest=widths,
+            misfit_n2=np.stack([half_range_n**2] * 2),
+            unexplained_n2=half_range_n**2,
+            widths=np.ones((2, 2, len(component.axes))),
             light_n2=np.zeros(1),
         )
 
@@ -64,14 +55,14 @@ class Uncertainty:
         """
         load = np.minimum((force_n**2).mean(axis=1, keepdims=True) / np.maximum(self.light_n2, 1e-300), 1.0)
         weights_n2 = self.unexplained_n2 * leverage(A, self.inverse_matrix)[:, None]
-        variance = self.misfit_at_rest_n2 + load * (self.misfit_n2 - self.misfit_at_rest_n2)
-        variance = variance + np.minimum(weights_n2, half_range_n**2)
-        n_units = force_n.shape[1] // self.widths.shape[1]
-        one, two = (
-            k * np.tile(at_rest + load * (width - at_rest), n_units)
-            for k, at_rest, width in zip((1, 2), self.widths_at_rest, self.widths, strict=True)
+        variance, one, two = (
+            at_rest + load * (loaded - at_rest)
+            for at_rest, loaded in (
+                self.misfit_n2,
+                *np.tile(self.widths, force_n.shape[1] // self.widths.shape[2]).swapaxes(0, 1),
+            )
         )
-        return variance, (one, two)
+        return variance + np.minimum(weights_n2, half_range_n**2), (one, 2.0 * two)
 
     def untrusted(self, half_range_n: FloatArray, limit_n: FloatArray | None = None) -> NDArray[np.bool_]:
         """Which outputs (n_out,) dead pillars leave unsure.
@@ -80,7 +71,7 @@ class Uncertainty:
         times as much, counted from where the best outputs of their axis are. Without it: those that miss by far more
         than the others of their axis, and by much of their range `half_range_n` (n_out,) [N].
         """
-        missed, n_axes = np.sqrt(self.unexplained_n2), self.widths.shape[1]
+        missed, n_axes = np.sqrt(self.unexplained_n2), self.widths.shape[2]
         if limit_n is not None and limit_n.all():
             times = (missed / limit_n).reshape(-1, n_axes)
             best = np.quantile(times, BEST, axis=0)

@@ -118,7 +118,7 @@ class LoadTest:
     @classmethod
     def of(cls, decoder: "Decoupler") -> "LoadTest | None":
         """That of a network; None if nobody knows rest."""
-        usual, known, inverse = decoder.usual, decoder.uncertainty, decoder.inverse
+        usual, errors, inverse = decoder.usual, decoder.errors, decoder.inverse
         if inverse is None:
             if (rest_ohm := decoder.rest_resistances()) is None:
                 return None
@@ -126,7 +126,7 @@ class LoadTest:
         else:
             centre = decoder.output_scaling.centre
             rest, pressed = inverse.forward.resistances(np.stack([np.zeros_like(centre), centre]))[:, None]
-        deviation, shared = known.errors.deviation(rest)[0], known.errors.shared(rest, decoder.rows, decoder.cols)[0]
+        deviation, shared = errors.deviation(rest)[0], errors.shared(rest, decoder.rows, decoder.cols)[0]
         by_error = decoder.derivatives(rest)[0] @ np.hstack([np.diag(deviation), shared])
         covariance = by_error @ by_error.T
         deviation_n = np.maximum(decoder.half_widths_of(rest)[0][0], MIN_DEVIATION_N)

@@ -12,6 +12,7 @@ from geometry.layout import FloatArray
 LEAST_S = 1.0  #: in which contacts heal at least; strips that were measured: 2.6 to 19 s
 MODULI_MPA, OHMS_MM = (0.003, 30.0), (0.1, 1e10)  #: that filled silicones may have
 SECTIONS_MM2 = (2000.0, 0.1)  #: that a specimen may have where none is stated
+FALLING = -3.0  #: g₁ from which ln R falls with strain, with 2 of the strip's shape
 MISSED, LEFT = 0.2, 0.8  #: of the range, and of the deviation: a law that misses more is none
 
 
@@ -48,6 +49,8 @@ def doubted(rubber: Rubber, series: Series, judged: RubberCheck, is_written: boo
         return f"E is {mpa:.3g} MPa, silicone's 0.01 to 10: are forces in g, or another unit? name their column force_g"
     if not OHMS_MM[0] <= (rubber.resistivity_ohm_mm or 1.0) <= OHMS_MM[1]:
         return f"ρ is {rubber.resistivity_ohm_mm:.3g} Ω mm, no filled silicone's: are resistances in another unit?"
+    if rubber.rest_ohm and rubber.min_strain > -0.1 * rubber.max_strain and rubber.memory.g1 < FALLING:
+        return "the resistance falls as the strip lengthens: is it a conductance?"
     if rubber.contact_ohm == 0:
         return "two wires read less than four do over their length: are length_mm= and electrodes_mm= right?"
     return ""

@@ -1,13 +1,13 @@
 """Errors of a touch decoder on contacts: of units, of the net force, of the place, and how far its deviations hold."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dataset.samples import Samples
-from decoupler.evaluation.assessment import Assessment
+from decoupler.evaluation.assessment import Assessment, as_plain, covered
 from decoupler.evaluation.metrics import component_errors
 from decoupler.touch.decoder import TouchDecoder
 from geometry.layout import FloatArray, unit_centres
@@ -27,8 +27,7 @@ class TouchAssessment:
 
     def plain(self) -> dict[str, Any]:
         """The same as JSON has it."""
-        found = {name: asdict(one) for name, one in self.by_force.items()}
-        return {name: one.pop("errors") | one for name, one in found.items()} | {
+        return as_plain(self.by_force) | {
             "net": {"fz_median_pct": self.net_fz_median_pct, "centre_mm": self.centre_mm},
             "loaded": {"fz_rmse_n": self.loaded_rmse_n, "coverage": list(self.loaded_coverage)},
         }
@@ -44,37 +43,31 @@ def assess_touch(
     SampleError
         As `TouchDecoder.columns` does.
     """
-    reader = decoder if data.errors.is_exact else replace(decoder, errors=data.errors)
-    touches = []
-    for decoder, reading, _ in reader.scans(data.resistance_ohm):
-        touches.append(decoder.touched(reading))
+    reader, touches = decoder if data.errors.is_exact else decoder.read_by(data.errors), []
+    for each, reading, _ in reader.scans(data.resistance_ohm):
+        touches.append(each.touched(reading))
         progress(1)
     shape = len(data), decoder.rows * decoder.cols, -1
     true_n, found_n = data.force_n.reshape(shape), np.stack([each.force_n for each in touches])
     missed = np.abs(found_n - true_n)
-    within = [missed <= np.stack(half) for half in zip(*(each.half_widths_n for each in touches), strict=True)]
+    half_widths_n = [np.stack(half) for half in zip(*(each.half_widths_n for each in touches), strict=True)]
     errors = component_errors(found_n.reshape(data.force_n.shape), data, decoder.component)
-    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}}
-    by_force = {}
-    for k, (name, own) in enumerate(errors.items()):
-        coverage = float(within[0][..., k].mean()), float(within[1][..., k].mean())
-        by_force[name] = Assessment(errors=own, coverage=coverage, **nothing)
     true_net_n = true_n[..., 2].sum(axis=1)
     pressed, least_n = true_net_n > 0, min(LOADED_N, LOADED * float(true_n[..., 2].max(initial=0.0)))
     loaded = true_n[..., 2] > least_n
     net_ratio = found_n[pressed][..., 2].sum(axis=1) / true_net_n[pressed]
     places, moment = unit_centres(decoder.design), np.stack([each.moment_nmm for each in touches])
-    true_moment = None if data.moment_nmm is None else data.moment_nmm.reshape(shape)
-    if true_moment is None:
-        moment = true_moment = np.zeros_like(moment)
+    if data.moment_nmm is None:
+        moment *= 0.0
+    true_moment = moment if data.moment_nmm is None else data.moment_nmm.reshape(shape)
     apart_mm = _centres(found_n[..., 2], places, moment) - _centres(true_n[..., 2], places, true_moment)
-    one, two = (float(each[..., 2][loaded].mean()) if loaded.any() else 1.0 for each in within)
+    one, two = ((missed <= half)[..., 2][loaded].mean() if loaded.any() else 1.0 for half in half_widths_n)
     return TouchAssessment(
-        by_force=by_force,
+        by_force=covered(errors, missed, half_widths_n),
         net_fz_median_pct=_median(100.0 * np.abs(net_ratio - 1.0)),
         centre_mm=_median(np.linalg.norm(apart_mm, axis=1)[pressed]),
         loaded_rmse_n=float(np.sqrt((missed[..., 2][loaded] ** 2).mean())) if loaded.any() else 0.0,
-        loaded_coverage=(one, two),
+        loaded_coverage=(float(one), float(two)),
     )
 
 

@@ -2,9 +2,9 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from scipy.special import chdtri
 
 from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
-from dataset.samples import SampleError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
 from decoupler.model.decoder import Decoded, Decoder
 from decoupler.readings import Pillars
@@ -92,11 +91,8 @@ class TouchDecoder(Decoder):
     """A decoder of whatever presses; never changed, only used. `bare` and `plates` have one each."""
 
     design: SensorDesign
-    errors: ReadingError
     library: Displacements
     pillars: Pillars
-    left_out: NDArray[np.bool_] | None = None  #: (rows, cols, n_pillars): that say nothing; see `Decoder.without`
-    made_from: dict[str, Any] = field(default_factory=dict)
 
     n_loads: ClassVar[int]  #: of a unit: see `Touched.load`
     of_model: ClassVar[float]  #: of the largest reading: what the model of a press has not
@@ -122,7 +118,8 @@ class TouchDecoder(Decoder):
     @cached_property
     def dead(self) -> NDArray[np.bool_]:
         """None."""
-        return np.zeros((self.rows, self.cols, len(self.layout.pillars)), dtype=bool)
+        array = self.design.array
+        return np.zeros((array.rows, array.cols, len(self.layout.pillars)), dtype=bool)
 
     @property
     def is_identified(self) -> bool:
@@ -132,14 +129,6 @@ class TouchDecoder(Decoder):
     @property
     def layout(self) -> Layout:
         return self.design.unit.layout
-
-    @property
-    def rows(self) -> int:
-        return self.design.array.rows
-
-    @property
-    def cols(self) -> int:
-        return self.design.array.cols
 
     @property
     def component(self) -> Component:
@@ -152,17 +141,12 @@ class TouchDecoder(Decoder):
         return Scaling(np.zeros(3 * n), np.tile(self.usual_n, n))
 
     def rest_resistances(self) -> FloatArray:
-        """Resistances (rows, cols, n_pillars) [Ω] with nothing on the sensor."""
         return self.sensing.ohms(np.zeros_like(self.sensing.rest_mm2)).reshape(self.rows, self.cols, -1)
 
     @property
     def usual_ohm(self) -> FloatArray:
         """Those at rest."""
         return self.rest_resistances()
-
-    def without(self, pillars: NDArray[np.bool_]) -> Self:
-        """The same decoder of scans in which some pillars (rows, cols, n_pillars) say nothing: they weigh nothing."""
-        return replace(self, left_out=pillars if self.left_out is None else pillars | self.left_out)
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
@@ -171,24 +155,11 @@ class TouchDecoder(Decoder):
         return nothing if self.left_out is None else self.left_out.reshape(-1)
 
     def follower(self) -> Any:
-        """The same decoder for scans that come one after another."""
         return Follower(self)
 
     def columns(self, resistance_ohm: FloatArray) -> FloatArray:
-        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show.
-
-        Raises
-        ------
-        SampleError
-            If the array is another size than the decoder's, or a resistance is not finite or not above 0.
-        """
-        ohms = np.asarray(resistance_ohm, dtype=float)
-        wanted = self.rows, self.cols, len(self.layout.pillars)
-        if ohms.shape[1:] != wanted:
-            raise SampleError(f"resistances have shape {ohms.shape}, expected (n, {', '.join(map(str, wanted))}).")
-        if not (np.isfinite(ohms) & (ohms > 0)).all():
-            raise SampleError("a resistance is not finite or not above 0: leave that scan out or mend the pillar.")
-        return self.sensing.shown(ohms.reshape(len(ohms), -1))
+        """Changes of squared lengths (n, m) [mm²] that resistances (n, rows, cols, n_pillars) [Ω] show."""
+        return self.sensing.shown(self.taken(resistance_ohm))
 
     def white(self, reading: FloatArray, more_mm2: FloatArray | float = 0.0) -> Whitening:
         """What whitens the errors of a reading (m,), with `more_mm2` of each; what is left out weighs nothing."""
@@ -222,14 +193,11 @@ class TouchDecoder(Decoder):
 
     def forces(self, resistance_ohm: FloatArray) -> FloatArray:
         """Forces on every unit's share of the top (n, rows, cols, 3) [N], Fz positive in compression."""
-        shape = len(resistance_ohm), self.rows, self.cols, -1
-        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(shape)
+        return np.stack([each.force_n for each in self.touches(resistance_ohm)]).reshape(-1, self.rows, self.cols, 3)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Half-widths that hold 68 % and 95 % of the errors of `forces`, of the same shape [N]."""
-        shape = len(resistance_ohm), self.rows, self.cols, -1
-        found = [each.half_widths_n for each in self.touches(resistance_ohm)]
-        one, two = (np.stack(each).reshape(shape) for each in zip(*found, strict=True))
+        found = zip(*(each.half_widths_n for each in self.touches(resistance_ohm)), strict=True)
+        one, two = (np.stack(each).reshape(-1, self.rows, self.cols, 3) for each in found)
         return one, two
 
     def deviations(
@@ -240,7 +208,7 @@ class TouchDecoder(Decoder):
         return stated
 
     def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
-        return told_by(self.touches(resistance_ohm, own), (self.rows, self.cols), weights)
+        return self.told(self.touches(resistance_ohm, own), weights)
 
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
         """Touches of scans (n, rows, cols, n_pillars) [Ω], each from nothing; errors as of `columns`.
@@ -261,10 +229,6 @@ class TouchDecoder(Decoder):
                 more = (own[k] * resistance_ohm[k]).reshape(-1) / self.pillars.ohm_per_mm2
             yield self.doing_without(lost[k]), reading, more
 
-    def read_by(self, errors: ReadingError) -> Self:
-        """The same decoder for readings that err so."""
-        return replace(self, errors=errors)
-
     def consistency(
         self, resistance_ohm: FloatArray, force_n: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
@@ -272,20 +236,19 @@ class TouchDecoder(Decoder):
         found = self.touches(resistance_ohm)
         return np.array([each.chi2 for each in found]), np.array([each.limit for each in found])
 
-
-def told_by(touches: Sequence[Touched], shape: tuple[int, int], weights: FloatArray) -> Decoded:
-    """What n touches of an array of rows and columns say, with `weights` as of `Decoder.deviations`."""
-    load = np.stack([each.load for each in touches]).reshape(len(touches), *shape, -1)
-    half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
-    sums = [weights.T @ each.factors for each in touches]
-    return Decoded(
-        force_n=load[..., :3],
-        moment_nmm=load[..., 3:],
-        moment_deviation_nmm=half[..., 3:],
-        contacts=[each.contacts for each in touches],
-        stated=(half[..., :3], np.stack([each @ each.T for each in sums])),
-        tested=(np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
-    )
+    def told(self, touches: Sequence[Touched], weights: FloatArray) -> Decoded:
+        """What n touches say, with `weights` as of `Decoder.deviations`."""
+        load = np.stack([each.load for each in touches]).reshape(-1, self.rows, self.cols, self.n_loads)
+        half = np.stack([each.half_widths[0] for each in touches]).reshape(load.shape)
+        sums = [weights.T @ each.factors for each in touches]
+        return Decoded(
+            force_n=load[..., :3],
+            moment_nmm=load[..., 3:],
+            moment_deviation_nmm=half[..., 3:],
+            contacts=[each.contacts for each in touches],
+            stated=(half[..., :3], np.stack([each @ each.T for each in sums])),
+            tested=(np.array([each.chi2 for each in touches]), np.array([each.limit for each in touches])),
+        )
 
 
 class Follower:
@@ -304,8 +267,7 @@ class Follower:
 
     def decoded(self, resistance_ohm: FloatArray, weights: FloatArray, own: FloatArray | None = None) -> Decoded:
         """As of `Decoder`, of scans in their order."""
-        decoder = self._decoder
-        return told_by(self.touches(resistance_ohm, own), (decoder.rows, decoder.cols), weights)
+        return self._decoder.told(self.touches(resistance_ohm, own), weights)
 
     def touches(self, resistance_ohm: FloatArray, own: FloatArray | None = None) -> list[Touched]:
         """Touches of scans (n, rows, cols, n_pillars) [Ω] in their order; arguments as of `TouchDecoder.touches`."""

@@ -1,6 +1,6 @@
 """Training of a model on labelled samples.
 
-`suited` completes what is asked for and looks at the samples, `trainer` trains, `network` is the network in torch,
-`varpro`, `levenberg_marquardt` (both on `damping`) and `momentum` find its weights, and `error_bars` the errors to
-expect.
+`suited` looks at the samples and settles what is learned from them, `trainer` trains, and `error_bars` finds the errors
+to expect. `one_layer` and `convolution` are networks; of the first, `weights` are what torch sees, which `varpro`,
+`levenberg_marquardt` (both on `damping`) and `momentum` find. `finite_strain` learns maps of finite strain.
 """

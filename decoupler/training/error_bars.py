@@ -1,5 +1,7 @@
 """Errors that a model will make on new samples: those on its training set, had each sample been left out."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +16,10 @@ LIGHT = 0.05  #: share of the training samples, the lightest, that do not count 
 MIN_DEVIATION = 1e-12  #: over a force's range, so that nothing is divided by 0
 
 
-def fitted_uncertainty(
-    decoupler: Decoupler, data: Columns, ridge: float, n_light: int = 0, judged: NDArray[np.int64] | None = None
-) -> Uncertainty:
-    """The uncertainty of a model, from its training set, of which the last `n_light` samples are light.
+def with_uncertainty(
+    decoupler: Decoupler, data: Columns, ridge: float, n_light: int, judged: NDArray[np.int64] | None = None
+) -> Decoupler:
+    """A model with its uncertainty, from its training set, of which the last `n_light` samples are light.
 
     `ridge` is λ on the output weights; `judged` (n_judged,) are the samples that say the errors of those under load, by
     default all.
@@ -46,32 +48,29 @@ def fitted_uncertainty(
     n_axes = len(decoupler.component.axes)
     smallest = (MIN_DEVIATION * np.ptp(force_n, axis=0)) ** 2 + 1e-300
     drift_factor = _drift_factor(decoupler, data[loaded], errors[loaded])
-    parts = [loaded, np.arange(n, len(A)) if n_light else loaded]
-    misfits, ratios = [], []
-    for part in parts:
+    decoupler = replace(decoupler, uncertainty=replace(decoupler.uncertainty, drift_factor=drift_factor))
+    light = np.arange(n, len(A)) if n_light else loaded
+    misfits, widths = [], []
+    for part in (light, loaded):
         some = part[np.linspace(0, len(part) - 1, min(ENOUGH_SAMPLES, len(part))).astype(int)]
-        through = decoupler.noise_variance(columns_ohm[some], data.errors, drift_factor)
+        through = decoupler.noise_variance(columns_ohm[some])
         left = np.maximum((errors[part] ** 2).mean(axis=0) - through.mean(axis=0), 0.0)
-        if n_light and part is parts[1]:  # few outputs are touched often: all of an axis together tell more
+        if n_light and part is light:  # few outputs are touched often: all of an axis together tell more
             left = np.tile(left.reshape(-1, n_axes).mean(axis=0), len(left) // n_axes)
         misfits.append(left + smallest)
         weights_n2 = np.minimum(unexplained * of_weights[some, None], decoupler.output_scaling.half_range**2)
         deviation = np.sqrt(through + misfits[-1] + weights_n2)
-        ratios.append(np.abs(errors[some] / deviation).reshape(-1, n_axes))
-    widths = [
-        np.stack([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)]) for ratio in ratios
-    ]
-    return Uncertainty(
-        errors=data.errors,
+        ratio = np.abs(errors[some] / deviation).reshape(-1, n_axes)
+        widths.append([np.quantile(ratio, share, axis=0) / (k + 1) for k, share in enumerate(WITHIN)])
+    uncertainty = Uncertainty(
         inverse_matrix=G,
-        misfit_n2=misfits[0],
+        misfit_n2=np.stack(misfits),
         unexplained_n2=unexplained,
-        widths=widths[0],
-        misfit_at_rest_n2=misfits[1],
-        widths_at_rest=widths[1],
+        widths=np.array(widths),
         light_n2=np.quantile((force_n[:n] ** 2).mean(axis=1), [LIGHT]),
         drift_factor=drift_factor,
     )
+    return replace(decoupler, uncertainty=uncertainty)
 
 
 def _drift_factor(decoupler: Decoupler, data: Columns, errors_n: FloatArray) -> FloatArray | None:

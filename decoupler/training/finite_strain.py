@@ -8,7 +8,7 @@ import numpy as np
 from dataset.loads import Loads
 from dataset.measurement import ReadingError
 from dataset.protocols import PROTOCOLS
-from dataset.resistance import pillar_lengths, pillar_strains
+from dataset.resistance import largest_strains, pillar_lengths
 from dataset.samples import SampleError, Samples
 from decoupler.data.columns import COMPONENTS, Columns, Resting, force_columns, pillar_columns
 from decoupler.data.enough import ENOUGH
@@ -202,7 +202,7 @@ def drawn_samples(
     left_n = known_n - np.column_stack([posterior.loads_n, np.ones(len(known_n))]) @ posterior.to_state
     states = np.column_stack([loads_n, np.ones(n)]) @ posterior.to_state
     states += left_n[generator.integers(len(left_n), size=n)]
-    states = states[_strains(maps, states, design).max(axis=1) <= _strains(maps, known_n, design).max()][:ENOUGH]
+    states = states[strains_in(maps, states, design) <= strains_in(maps, known_n, design).max()][:ENOUGH]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
     squares, force_n = [], []
     for part in np.array_split(states, max(1, len(states) // CHUNK)):
@@ -226,14 +226,15 @@ def drawn_samples(
         force_n=forces,
         load=np.arange(len(forces)),
         errors=errors,
+        dead=np.zeros(ohms.shape[1:], dtype=bool),
         layout=design.unit.layout,
     )
 
 
-def _strains(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> FloatArray:
-    """Strains of all pillars in states, (n, 3 k) [N] -> (n, k·n_pillars)."""
+def strains_in(maps: StrainMaps, state_n: FloatArray, design: SensorDesign) -> FloatArray:
+    """Largest strain of a pillar in states, (n, 3 k) [N] -> (n,)."""
     moved = _moved(state_n, maps.influence, design.array.rows, design.array.cols)
-    return pillar_strains(moved, pillar_lengths(moved, design.unit), design.unit).reshape(len(state_n), -1)
+    return largest_strains(moved.reshape(len(moved), design.n_units, -1, 3), design.unit)
 
 
 def trained_at_strain(

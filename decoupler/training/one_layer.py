@@ -1,13 +1,12 @@
 """Networks with one hidden layer of tanh nodes: the paper's, and one that sees its inputs past them as well."""
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import ClassVar, Self
 
 import numpy as np
 
 from decoupler.data.columns import namespace, rowwise
-from decoupler.model.network import Network, Outcome, Task
+from decoupler.model.network import Network, Outcome, Task, named
 from decoupler.model.settings import METHODS
 from geometry.layout import FloatArray
 
@@ -23,12 +22,12 @@ class Skip(Network):
         """By the trainer that the task names."""
         from decoupler.training.weights import TrainingSet, one_torch_thread, starting_weights  # loads torch
 
-        module, _, name = METHODS[task.training.trainer].partition(":")
         samples = TrainingSet(task, cls.sees_inputs)
         hidden, output = starting_weights(samples)
         with one_torch_thread():
-            method = getattr(import_module(module), name)
-            point, outcome = method(samples, hidden, output, task.training, task.progress)
+            point, outcome = named(METHODS[task.training.trainer])(
+                samples, hidden, output, task.training, task.progress
+            )
         # in the order of a file's, since products round by it
         layers = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
         return cls(**dict(zip(("hidden", "output"), layers, strict=True))), outcome

@@ -5,7 +5,7 @@ Loads no torch.
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,27 +35,19 @@ MIN_LOADED = 0.1  #: expected motion of a pillar over the usual one, below which
 NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
 
 
-class Suited(NamedTuple):
-    """What a training learns, and how."""
-
-    columns: Columns
-    form: NetworkConfig
-    training: TrainingConfig
-    forward: SensorModel | None  #: the response, for the feature `inverse` alone
-
-
 def suited(
     data: Samples,
     component: str | None,
     network: NetworkConfig | None,
     training: TrainingConfig | None,
     response: "ArrayResponse | None",
-) -> Suited:
+) -> tuple[Columns, NetworkConfig, TrainingConfig, SensorModel | None]:
     """Complete what a training is asked for with what suits the samples, and take what it learns from them.
 
-    A sample that is given twice counts once, readings are given the drifts that the design states, and pillars that do
-    not follow their loads are taken for dead. The feature `auto` is `inverse` for a network that sees its inputs if the
-    response explains linear samples, else `root`. An argument of another type is an `ArgumentError`.
+    The response is given back for the feature `inverse` alone. A sample that is given twice counts once, readings are
+    given the drifts that the design states, and pillars that do not follow their loads are taken for dead. The feature
+    `auto` is `inverse` for a network that sees its inputs if the response explains linear samples, else `root`. An
+    argument of another type is an `ArgumentError`.
     """
     require_samples("data", data)
     if network is not None:
@@ -76,7 +68,7 @@ def suited(
             forward = explaining(response, columns) if form_named(form.net).sees_inputs else None
     if form.feature == "auto":
         form = replace(form, feature="root" if forward is None else "inverse")
-    return Suited(columns, form, training, forward)
+    return columns, form, training, forward
 
 
 def explaining(response: "ArrayResponse | None", data: Columns) -> SensorModel:

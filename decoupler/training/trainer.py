@@ -1,6 +1,5 @@
 """From labelled data to a trained `Decoupler`."""
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
@@ -13,14 +12,14 @@ from decoupler.data.enough import drawn
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.decoupler import Decoupler
-from decoupler.model.front import FEATURES, Front
+from decoupler.model.front import POWERS, Front
 from decoupler.model.network import Task, form_named
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.model.uncertainty import leverage
 from decoupler.model_file import model_cache_key
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge
-from decoupler.training.error_bars import MIN_FREEDOM, fitted_uncertainty
+from decoupler.training.error_bars import MIN_FREEDOM, with_uncertainty
 from decoupler.training.finite_strain import trained_at_strain
 from decoupler.training.suited import suited
 from geometry.design import SensorDesign
@@ -32,17 +31,13 @@ if TYPE_CHECKING:
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 
 
-def _silent(iteration: int, mse: float) -> None:
-    """The progress callback of whoever does not want one."""
-
-
 @one_blas_thread()  # on matrices this small two are slower
 def train(
     data: AnySamples,
     component: str | None = None,
     network: NetworkConfig | None = None,
     training: TrainingConfig | None = None,
-    progress: Progress = _silent,
+    progress: Progress = lambda *_: None,
     response: "ArrayResponse | None" = None,
     judged: bool = True,
 ) -> Decoupler:
@@ -81,16 +76,16 @@ def train(
     """
     seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
     few = drawn(data, seed)
-    asked = suited(few, component, network, training, response)
-    n, name = len(asked.columns), asked.columns.component.name
+    columns, form, settings, forward = suited(few, component, network, training, response)
+    n, name = len(columns), columns.component.name
     if few.is_finite.any() and name == "all" and response is not None:
         few = few[few.is_finite]
         n = len(few)
-        trained: Decoupler = trained_at_strain(few, response, asked.training, progress)
+        trained: Decoupler = trained_at_strain(few, response, settings, progress)
     else:
-        trained = fitted_network(*asked[:3], few.design, asked.forward, progress, judged)
+        trained = fitted_network(columns, form, settings, few.design, forward, progress, judged)
     story = {
-        "recipe": model_cache_key(data, name, network or NetworkConfig(), asked.training, response),
+        "recipe": model_cache_key(data, name, network or NetworkConfig(), settings, response),
         "data_hash": data.content_hash,
         "n_samples": n,
     }
@@ -104,7 +99,7 @@ def fitted_network(
     training: TrainingConfig,
     design: SensorDesign | None = None,
     forward: SensorModel | None = None,
-    progress: Progress = _silent,
+    progress: Progress = lambda *_: None,
     judged: bool = True,
 ) -> Decoupler:
     """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.
@@ -120,8 +115,9 @@ def fitted_network(
     Hidden nodes learn single draws of drifts by heart: errors then are those on the samples kept for validation.
     """
     kind, scaling = form_named(form.net), Scaling.fitted(data.force_n)
-    front = Front.of(data, FEATURES[form.feature]() if forward is None else _inverse(forward, data), scaling)
-    known, given = front.forward if kind.sees_inputs else None, data
+    inverse, given = None if forward is None else _inverse(forward, data), data
+    front = Front.of(data, inverse or POWERS[form.feature], scaling)
+    known = inverse.forward if inverse is not None and kind.sees_inputs else None
     if known is not None:
         data = _with_light_samples(known, scaling, data)
     inputs, targets = front.inputs(data.resistance_ohm), scaling.scale(data.force_n)
@@ -140,26 +136,19 @@ def fitted_network(
     trained = Decoupler.of(given, form, front, network, design)
     if judged:
         kept = task.held_out if data.errors.has_drift and len(task.held_out) else None
-        uncertainty = fitted_uncertainty(trained, data, task.ridge, len(data) - len(given), kept)
-        trained = replace(trained, uncertainty=uncertainty)
+        trained = with_uncertainty(trained, data, task.ridge, len(data) - len(given), kept)
     return replace(trained, made_from={"training": asdict(training), "outcome": asdict(outcome)})
 
 
 def _inverse(forward: SensorModel, data: Columns) -> ModelInverse:
     """The response with the gains and offsets that samples show, turned around for readings that err as theirs."""
-    forward = forward.calibrated(data)
-    read = None if data.errors.is_exact or forward.n_pillars <= forward.n_forces else _as_read(forward, data)
-    return ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, read)
-
-
-def _as_read(forward: SensorModel, data: Columns) -> Callable[[FloatArray], FloatArray]:
-    """What gives lengths (n, P) [mm] as they are read under forces (n, Q) [N], with errors as the samples have."""
-    generator = np.random.default_rng(0)
+    forward, generator = forward.calibrated(data), np.random.default_rng(0)
 
     def read(force_n: FloatArray) -> FloatArray:
         return forward.lengths_of(data.errors.scattered(forward.resistances(force_n), *data.shape, generator))
 
-    return read
+    is_exact = data.errors.is_exact or forward.n_pillars <= forward.n_forces
+    return ModelInverse.about(forward, data.force_n, data.readable, data.errors.noise, None if is_exact else read)
 
 
 def _with_light_samples(forward: SensorModel, scaling: Scaling, data: Columns) -> Columns:

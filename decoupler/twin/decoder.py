@@ -17,7 +17,7 @@ from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import UsualLoads
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge, ridge
-from decoupler.training.error_bars import fitted_uncertainty
+from decoupler.training.error_bars import with_uncertainty
 from decoupler.training.finite_strain import drawn_samples, refined
 from decoupler.training.one_layer import Skip
 from decoupler.twin.posterior import Specimen
@@ -78,7 +78,7 @@ def decoder_of(
         usual=UsualLoads.of(data[: len(loads_n)]),
         ensemble=found.ensemble,
     )
-    return replace(trained, uncertainty=fitted_uncertainty(trained, data, penalty, len(light_n)))
+    return with_uncertainty(trained, data, penalty, len(light_n))
 
 
 def decoder_at_strain(

@@ -160,19 +160,19 @@ def _widened(decoder: Decoupler, found: Specimen, readings: Readings) -> Decoupl
         return decoder
     error_ohm, covariance = without_each(found, readings, tested)
     as_left_out = np.maximum(found.sensor.resistances(readings.force_n[tested]) + error_ohm, MIN_WHOLE_OHM)
-    A, slopes = decoder.activations(as_left_out), decoder.derivatives(as_left_out)
-    force_n = decoder.outputs(as_left_out)
-    variance, within = uncertainty.own_variance(A, force_n, decoder.output_scaling.half_range)
+    force_n, slopes = decoder.outputs(as_left_out), decoder.derivatives(as_left_out)
+    variance, within = decoder.own_variance(as_left_out)
     variance += np.einsum("nqp,nqp->nq", slopes @ covariance, slopes)
-    noise = uncertainty.errors.deviation(as_left_out)
+    noise = decoder.errors.deviation(as_left_out)
     variance += ((slopes * noise[:, None]) ** 2).sum(axis=2)
     ratio = np.abs(force_n - readings.force_n[tested]) / np.sqrt(variance)
-    n_axes = uncertainty.widths.shape[1]
+    n_axes = uncertainty.widths.shape[2]
     scale = [
         np.quantile((ratio / width).reshape(-1, n_axes), share, axis=0) * stdtrit(len(tested), 0.5 + share / 2) / k
         for k, share, width in zip((1, 2), WITHIN, within, strict=True)
     ]
-    widths = uncertainty.widths * np.maximum(np.stack(scale), 1.0)
+    at_rest, loaded = uncertainty.widths
+    widths = np.stack([at_rest, loaded * np.maximum(np.stack(scale), 1.0)])
     return replace(decoder, uncertainty=replace(uncertainty, widths=widths))
 
 

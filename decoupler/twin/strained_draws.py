@@ -8,13 +8,13 @@ import numpy as np
 from common.threads import one_blas_thread
 from dataset.finite_strain import GROUP, MAX_DRAWS, drawn_loads, group_cache_key
 from dataset.protocols import forces
-from dataset.resistance import largest_strains
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import Draw, below_cap, origin
 from decoupler.inverse.strain_maps import CHUNK, N_AXES
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.readings import MIN_WHOLE_OHM
+from decoupler.training.finite_strain import strains_in
 from fem.array.response import ArrayResponse
 from geometry.layout import FloatArray
 
@@ -36,12 +36,7 @@ class StrainedDraws:
     def _most(self) -> float:
         """Largest strain of a pillar under loads of the design's samples."""
         state_n, there_are = self._maps.nearest_states(self._known.loads_n)
-        return float(self._strains(state_n[there_are]).max(initial=0.0))
-
-    def _strains(self, state_n: FloatArray) -> FloatArray:
-        """Largest strain of a pillar in states (n, Q) [N], (n,)."""
-        moved = (state_n @ self._maps.influence).reshape(len(state_n), N_AXES, self._design.n_units, -1)
-        return largest_strains(moved.transpose(0, 2, 3, 1), self._design.unit)
+        return float(strains_in(self._maps, state_n[there_are], self._design).max(initial=0.0))
 
     def _draw(self, settings: DatasetSettings, first: int) -> Draw:
         """What draws tractions and states of the samples from number `first` on."""
@@ -50,7 +45,8 @@ class StrainedDraws:
             traction = drawn_loads(settings, self._design, first + waiting, attempt)
             force_n = forces(traction, self._design).reshape(len(traction), -1)
             state_n, there_are = self._maps.nearest_states(force_n)
-            return [traction, state_n], there_are & (self._strains(state_n) <= min(settings.cap, self._most))
+            strains = strains_in(self._maps, state_n, self._design)
+            return [traction, state_n], there_are & (strains <= min(settings.cap, self._most))
 
         return draw
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from common.errors import TriPillarError
 from fem.contact.compliance import UP, PatchCompliance, SurfaceCompliance
-from fem.contact.shapes import Shape
+from fem.contact.shapes import Shape, proposed_units
 from fem.contact.tiles import Patch, overlaps, span
 from fem.kernel.factor import SolverError
 from fem.levels import SAFETY, richardson_factor
@@ -73,6 +73,9 @@ class Indentation:
                 f"depth_mm={self.depth_mm:g} must be above 0 and below the slab's height, {height_mm:g} mm: how far "
                 "the shape goes down."
             )
+        if self.depth_mm > (high_mm := self.shape.high_mm):
+            mend = f"press less deep, or give {proposed_units(self.shape.in_file, self.depth_mm)}"
+            raise ContactError(f"depth_mm={self.depth_mm:g} is deeper than the tool is high, {high_mm:.3g} mm: {mend}.")
         require_friction(self.friction)
         if np.abs(self.slide_mm).max() > most_mm:
             x, y = self.slide_mm

@@ -1,21 +1,36 @@
-"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, STL.
+"""Rigid indenters as heights of their underside above its lowest point: sphere, cylinder, flat punch, file.
 
 Capsules and convex bodies stand as they are turned in space, for simulators that move them; the others turn about z.
 """
 
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 
 from common.errors import TriPillarError
+from common.pool import open_pool
 from geometry.layout import FloatArray
 
 MAX_MM = 1e4  #: of a radius or a length
 MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
-RASTER = 400  #: points along the longer side of an STL's height map
+UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
+TOOL_FILES = (".stl", ".obj", ".ply", ".step", ".stp")
+USUAL_MM, LIKELY_MM = (3.0, 2000.0), (3.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
+MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
+STEP_SHARE, STEP_ANGLE, STEP_S = 2e-5, 0.05, 50.0  #: of triangles off its surfaces: of its size, [rad]; to wait [s]
+RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
+MAX_LAYERS, MAX_POINTS = 50.0, 1_000_000  #: triangles over a point, else there are fewer; points at a time
+UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
+FAR, MIX = 1e9, (2**0.5, 3**0.5)  #: from the origin; make one number of three, and lines that meet no edge
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  #: of a binary STL
+VERTEX = re.compile(rb"(?i)\bvertex" + 3 * rb"\s+(\S{1,40})")  #: of a text STL
 
 
 class ShapeError(TriPillarError, ValueError):
@@ -37,6 +52,7 @@ class Shape:
     One that gives `own_heights_mm` and `own_extents_mm` has its origin at its lowest point and turns about z alone.
     """
 
+    high_mm = in_file = np.inf  #: of its highest point above its lowest one, and that in numbers of its file
     #: rotation (3, 3) from its own axes to the sensor's
     turn: FloatArray = field(default_factory=lambda: np.eye(3), kw_only=True)
 
@@ -112,11 +128,14 @@ class Flat(Shape):
 
 @dataclass(frozen=True, eq=False)
 class Solid(Shape):
-    """The underside of any solid as a map of heights; `read_solid` makes one of an STL file."""
+    """The underside of any solid as a map of heights; `read_solid` makes one of a file."""
 
     x_mm: FloatArray  #: (nx,), increasing, about the middle of its box
     y_mm: FloatArray  #: (ny,)
     map_mm: FloatArray  #: (ny, nx), 0 at the lowest point, infinite where the solid is not
+    high_mm: float = np.inf
+    in_file: float = np.inf
+    notes: tuple[str, ...] = ()  #: what was mended of its file
 
     def own_heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Between points of the map; infinite where one of them is."""
@@ -127,9 +146,13 @@ class Solid(Shape):
         return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
     def own_extents_mm(self, height_mm: float) -> tuple[float, float]:
-        low = self.map_mm < height_mm
-        x, y = self.x_mm[low.any(axis=0)], self.y_mm[low.any(axis=1)]
-        return float(np.abs(x).max()), float(np.abs(y).max())
+        x, y = (np.abs(line[low < height_mm]).max() for line, low in self._lowest)
+        return float(x), float(y)
+
+    @cached_property
+    def _lowest(self) -> list[tuple[FloatArray, FloatArray]]:
+        """The lines of its map along x and y, and the lowest point of each."""
+        return [(line, self.map_mm.min(axis=axis)) for axis, line in enumerate((self.x_mm, self.y_mm))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,51 +236,146 @@ class Convex(Shape):
         return float(x), float(y)
 
 
-def read_solid(path: Path) -> Solid:
-    """Read an STL file in mm as an indenter that moves down along z, as it stands in its file.
+def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg: Sequence[float] = (0, 0, 0)) -> Solid:
+    """Read an STL, OBJ, PLY or STEP file as an indenter that moves down along z; its notes say what was mended.
 
-    A `ShapeError` says that the file is missing or damaged, or its surface not closed.
+    Numbers without a unit of `UNITS` are mm, if that makes a tool of a usual size; STEP states its own. It is turned
+    about x, then y, then z, and presses with its lowest surface, whichever way that faces. A `ShapeError` says that the
+    file is missing, damaged or too large, its surface not closed, or its unit in doubt.
     """
+    ending = path.suffix.lower()
+    is_step = ending in (".step", ".stp")
+    if unit not in (None, *UNITS) or (unit and is_step):
+        raise ShapeError(f"unit={unit} must be {', '.join(UNITS)}, and left out of STEP files, which state it.")
+    if not 0 < scale < np.inf or not np.abs(turn_deg).max() <= 360:
+        raise ShapeError(f"scale={scale:g} must be above 0, and angles of turn_deg= from -360 to 360 degrees.")
+    if not path.is_file() or ending not in TOOL_FILES:
+        raise ShapeError(f"{path}: there is no such file, or it is none of a closed surface in STL, OBJ, PLY or STEP.")
+    if path.stat().st_size > MAX_BYTES[is_step]:
+        raise ShapeError(f"{path}: over {MAX_BYTES[is_step] / 1e6:g} MB: leave out what does not press.")
+    notes: list[str] = []
+    try:
+        if is_step:  # what is damaged may end its reader, and prints pages
+            with open_pool(1) as pool:
+                triangles = pool.executor.submit(_of_step, path).result(STEP_S)
+        else:
+            triangles = _of_mesh(path, ending[1:], notes)
+    except ShapeError:
+        raise
+    except Exception:  # their readers raise of many kinds
+        raise ShapeError(f"{path}: damaged, cut off, too large, or no {ending[1:].upper()}: export it again.") from None
+    if not 0 < len(triangles) <= MAX_TRIANGLES or not np.abs(triangles).max() < FAR:
+        raise ShapeError(f"{path}: holds no triangles, over {MAX_TRIANGLES:,}, or corners without a place.")
+    large = np.ptp(triangles, axis=(0, 1)).max()
+    if unit is None and scale == 1.0 and not is_step and not USUAL_MM[0] <= large <= USUAL_MM[1]:
+        raise ShapeError(f"{path}: {large:.3g} mm large if in mm: give {proposed_units(large)}, or unit=mm if so.")
+    turned = triangles @ Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().T
+    factor = scale * UNITS[unit or "mm"]
+    return _solid_of(turned * factor, factor, path, notes)
+
+
+def proposed_units(extent: float, least_mm: float = 0.0) -> str:
+    """What to give where a number in a file is no likely extent of a tool: units by which it is."""
+    fit = [unit for unit, mm in UNITS.items() if max(least_mm, LIKELY_MM[0]) <= extent * mm <= LIKELY_MM[1]]
+    return " or ".join(f"unit={unit} ({extent * UNITS[unit]:.3g} mm)" for unit in fit) or "its unit= or scale="
+
+
+@np.errstate(all="ignore")
+def _of_mesh(path: Path, ending: str, notes: list[str]) -> FloatArray:
+    """Triangles (n, 3 corners, 3) of a file of triangles."""
+    data = path.read_bytes()
+    if (is_text := b"\0" not in data) and re.search(rb"\d,\d", data):
+        notes.append(f"{path}: its decimal commas are read as points")
+        data = data.replace(b",", b".")
+    if ending == "stl" and is_text:
+        return np.array(VERTEX.findall(data)).astype(float).reshape(-1, 3, 3)
+    if ending == "stl":
+        stated, there = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
+        if there < stated <= 1000 * there:
+            raise ShapeError(f"{path}: cut off: it holds {there:,} of {stated:,} triangles: copy or export it again.")
+        return np.frombuffer(data, RECORD, stated, 84)["corners"].astype(float)
     import trimesh
 
-    if not path.is_file():
-        raise ShapeError(f"{path}: there is no such file: give an STL file of a closed surface, in mm.")
-    try:
-        mesh = trimesh.load(path, file_type="stl", force="mesh")
-        triangles = np.asarray(mesh.triangles, dtype=float)
-    except Exception:  # trimesh raises of many kinds
-        raise ShapeError(f"{path}: damaged, or no STL: give an STL file of a closed surface, in mm.") from None
-    if not len(triangles) or not np.isfinite(triangles).all():
-        raise ShapeError(f"{path}: holds no triangles: give an STL file of a closed surface, in mm.")
-    if not mesh.is_watertight:
-        raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
-    return _solid_of(triangles)
+    return np.asarray(trimesh.load(BytesIO(data), file_type=ending, force="mesh", process=False).triangles @ np.eye(3))
 
 
-def _solid_of(triangles_mm: FloatArray) -> Solid:
-    """Height map of a closed surface's triangles, shape (n, 3 corners, 3)."""
+def _of_step(path: Path) -> FloatArray:
+    from build123d import import_step
+
+    shape = import_step(path)
+    vertices, faces = shape.tessellate(STEP_SHARE * shape.bounding_box().diagonal, STEP_ANGLE)
+    return np.array([tuple(vertex) for vertex in vertices])[np.array(faces)]
+
+
+def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, notes: list[str]) -> Solid:
+    """Height map of a closed surface's triangles, (n, 3 corners, 3), by the lowest over each point."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low
     _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
     corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
-    step = size[:2].max() / RASTER
+    doubled = np.linalg.det(np.diff(corners[..., :2], axis=1))  # 0 of upright faces, which have no area from below
+    wide, layers = size[:2].max(), np.abs(doubled) / 2 / size[:2].prod()
+    corners, faces_in = corners[layers > UPRIGHT], doubled[layers > UPRIGHT] > 0
+    step = max(wide / MAX_RASTER, min(FINE_MM, wide / RASTER)) * max(1.0, layers.sum() / MAX_LAYERS) ** 0.5
     x, y = (np.linspace(-length / 2, length / 2, max(2, round(length / step)) + 1) for length in size[:2])
-    heights = np.full((len(y), len(x)), np.inf)
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners.transpose(1, 2, 0)
-    doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    edge = 1e-9 * step
-    for k in np.flatnonzero(doubled < 0):  # what looks down; upright faces have no area from below
-        columns, rows = (
-            slice(*np.searchsorted(line, [corners[k, :, d].min() - edge, corners[k, :, d].max() + edge]))
-            for d, line in enumerate((x, y))
-        )
-        px, py = x[None, columns] - ax[k], y[rows, None] - ay[k]
-        b = (px * (cy - ay)[k] - py * (cx - ax)[k]) / doubled[k]
-        c = (py * (bx - ax)[k] - px * (by - ay)[k]) / doubled[k]
+    beside = x[:-1:2] + (x[1] - x[0]) / MIX[0], y[:-1:2] + (y[1] - y[0]) / MIX[1]
+    # bodies that touch share triangles: those that are there twice are taken once only if that leaves it closed
+    mixed = np.sort(corners[..., 0] + MIX[0] * corners[..., 1] + MIX[1] * corners[..., 2])
+    once = np.unique(mixed[:, 0] + MIX[0] * mixed[:, 1] + MIX[1] * mixed[:, 2], return_index=True)[1]
+    for taken in (corners[once], corners):  # upright lines meet it an even number of times, but for cracks
+        count = sum(np.bincount(place, minlength=beside[1].size * beside[0].size) for place, _ in _met(taken, *beside))
+        if np.sum(count % 2) < MAX_CRACKS * np.sum(count > 0):
+            break
+    else:
+        raise ShapeError(f"{path}: the surface is not closed: mend the holes, so that it bounds a solid.")
+    if twice := len(corners) - len(taken):
+        notes.append(f"{path}: {twice:,} of its triangles are there twice: they are taken once")
+    tip = corners.reshape(-1, 3)[corners[..., 2].argmin()]
+    x, y = np.union1d(x, tip[0]), np.union1d(y, tip[1])
+    outward, inward = (_lowest(corners[side], x, y) for side in (~faces_in, faces_in))
+    heights, is_inward = np.minimum(outward, inward), inward < outward - 1e-6 * step
+    if (share := is_inward.sum() / np.isfinite(heights).sum()) > MIN_INWARD:
+        notes.append(f"{path}: {share:.0%} of its underside faces inwards: it presses as if all faced outwards")
+    return Solid(x, y, np.where(is_inward, heights, outward) - tip[2], size[2], size[2] / factor, tuple(notes))
+
+
+def _lowest(corners: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Height of the lowest triangle over each point of a raster, (ny, nx), infinite where there is none."""
+    heights = np.full(len(y) * len(x), np.inf)
+    for place, z in _met(corners, x, y):
+        np.minimum.at(heights, place, z)
+    return heights.reshape(len(y), len(x))
+
+
+def _met(corners: FloatArray, x: FloatArray, y: FloatArray) -> Iterator[tuple[np.ndarray, FloatArray]]:
+    """Points of a raster, row by row, where triangles lie, and their heights there; of some triangles at a time."""
+    edge = 1e-9 * np.ptp(x) / len(x)
+    low, high = corners.min(axis=1) - edge, corners.max(axis=1) + edge
+    (x0, x1), (y0, y1) = (np.searchsorted(line, [low[:, d], high[:, d]]) for d, line in enumerate((x, y)))
+    a, to_b, to_c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    parts = 1 + ((x1 - x0) * (y1 - y0)).sum() // MAX_POINTS
+    for part in range(parts):
+        k, column = _each(np.arange(part, len(a), parts), x0[part::parts], x1[part::parts])
+        (ux, uy, uz), (vx, vy, vz) = to_b[k].T, to_c[k].T
+        px, doubled = x[column] - a[k, 0], ux * vy - uy * vx
+        # the shares of its corners in a point, here for y = 0, are all above 0 between two y of each column
+        share = np.array([px * vy, -px * uy, doubled - px * (vy - uy)]) / doubled + 1e-6
+        slope = np.array([-vx, ux, vx - ux]) / doubled
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = a[k, 1] - share / slope
+        first = np.searchsorted(y, np.where(slope > 0, root, -np.inf).max(axis=0))
+        last = np.searchsorted(y, np.where(slope < 0, root, np.inf).min(axis=0))
+        n, row = _each(np.arange(len(k)), np.maximum(first, y0[k]), np.minimum(last, y1[k]))
+        k, py, doubled = k[n], y[row] - a[k[n], 1], doubled[n]
+        b, c = ((px * vy)[n] - py * vx[n]) / doubled, (py * ux[n] - (px * uy)[n]) / doubled
         inside = (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
-        z = az[k] + b * (bz - az)[k] + c * (cz - az)[k]
-        heights[rows, columns] = np.minimum(heights[rows, columns], np.where(inside, z, np.inf))
-    return Solid(x, y, heights)
+        yield (row * len(x) + column[n])[inside], (a[k, 2] + b * uz[n] + c * vz[n])[inside]
+
+
+def _each(owner: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Owners and numbers of all numbers from the first up to before the last of each."""
+    count = np.maximum(last - first, 0)
+    return np.repeat(owner, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
 
 
 def _arc(across_mm: FloatArray, radius_mm: float) -> FloatArray:

@@ -43,6 +43,7 @@ class ScanMode(IntEnum):
     GROUNDED = 1  #: voltage divider, idle wires grounded
     ZERO_POTENTIAL = 2  #: column wires held at virtual ground by amplifiers, idle row wires grounded
     FOUR_WIRE = 3  #: the same, over the voltage at the pillar itself, by taps that carry no current
+    PLAIN = 4  #: no circuit: numbers that are the readings themselves, as shares of the largest, in `sense_ohm`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -76,7 +77,7 @@ class Frame:
 
     @property
     def flags(self) -> int:
-        """The flags byte as sent: bit 0 saturation, bits 1 and 2 the scan mode."""
+        """The flags byte as sent: bit 0 saturation, bits 1 to 3 the scan mode."""
         return int(self.saturated) | self.scan_mode << 1
 
 

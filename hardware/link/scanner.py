@@ -148,6 +148,8 @@ class Scanner:
         How many scans wait to be taken; then the oldest is dropped.
     baud : int
         Bits a second.
+    stated : Info, optional
+        What a board is that cannot say so itself, and sends lines of numbers.
 
     Raises
     ------
@@ -175,13 +177,14 @@ class Scanner:
         timeout: float = 4.0,
         queue: int = 256,
         baud: int = BAUD,
+        stated: Info | None = None,
     ) -> None:
         if queue < 1:
             raise ScannerError(f"queue={queue} must be 1 or more: the scans that may wait.")
         if not timeout > 0:
             raise ScannerError(f"timeout={timeout:g} must be above 0 s.")
         self._is_own = isinstance(port, str)
-        self._protocol, self._name = spoken_on(port) if self._is_own else (PROTOCOLS["tripillar"], "port")
+        self._protocol, self._name = spoken_on(port, stated) if self._is_own else (PROTOCOLS["tripillar"], "port")
         self._baud, self._timeout_s = baud, timeout
         self._changed = threading.Condition()  # guards all below
         self._queue: deque[Scan] = deque(maxlen=queue)

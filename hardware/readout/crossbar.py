@@ -76,6 +76,8 @@ class Crossbar:
       converter's reference. x = −A R_s / (1 + A) · N_cr / (K_rr − K_cr), K = (1 + R L)⁻¹. Neither switches and wires in
       the current's way nor contacts show; what is left is what other rows' pillars carry.
 
+    - PLAIN: no circuit, x = R / R_s; no count but full scale is a bound, and 0 stands for half a step.
+
     N is the admittance matrix between the ends of the wires: N = L (1 + R L)⁻¹, L the conductance matrix (Laplacian) of
     the pillars alone and R the diagonal of series resistances.
     """
@@ -183,6 +185,8 @@ class Crossbar:
         >>> ideal.readings(np.full((1, 1, 1, 3), 10e3)).round(6).tolist()
         [[0.5, 0.5, 0.5]]
         """
+        if self.scan_mode == ScanMode.PLAIN:
+            return 1.0 / self.conductances(resistance_ohm) / self.sense_ohm
         y = self.apparent_of(self.conductances(resistance_ohm))
         if self.scan_mode == ScanMode.DIVIDER:
             return self.sense_ohm / (self.sense_ohm + 2.0 * (self.switch_ohm + self.line_ohm) + 1.0 / y)
@@ -216,6 +220,8 @@ class Crossbar:
         Such a count is taken as the nearest one inside, 1 or full scale − 1; any shape.
         """
         full_scale = self._required_full_scale()
+        if self.scan_mode == ScanMode.PLAIN:
+            return np.maximum(counts, 0.5) / full_scale, counts >= full_scale
         inside = np.minimum(np.maximum(counts, 1), full_scale - 1)
         return inside / full_scale, inside != counts
 
@@ -226,6 +232,8 @@ class Crossbar:
 
     def uncorrected(self, readings: Array) -> Array:
         """Resistances (n, rows, cols, P) [Ω] with each crossing taken as read alone, by perfect switches."""
+        if self.scan_mode == ScanMode.PLAIN:
+            return self.as_pillars(self.sense_ohm * readings)
         if self.is_amplified:
             return self.as_pillars(self.sense_ohm / readings)
         return self.as_pillars((self.sense_ohm / readings - self.sense_ohm).clip(MIN_OHM, None))
@@ -244,7 +252,8 @@ class Crossbar:
             by_reading = self.sense_ohm / x**2 * self.apparent_conductances(x[None])[0]
         g = self.conductances(resistance_ohm)
         y, derivatives = self.apparent_and_derivatives(g)
-        inverse = np.linalg.inv(derivatives[0] * g / y[0][:, None])
+        mixed = np.linalg.inv(derivatives[0] * g / y[0][:, None])
+        inverse = np.eye(len(x)) if self.scan_mode == ScanMode.PLAIN else mixed
         return self.as_pillars(np.linalg.norm(inverse * (by_reading / (self.full_scale * math.sqrt(12.0))), axis=1))
 
     def as_pillars(self, values: Array) -> Array:
@@ -346,6 +355,8 @@ class Corrector:
 
     def __init__(self, crossbar: Crossbar) -> None:
         self.crossbar = crossbar
+        if crossbar.scan_mode == ScanMode.PLAIN:
+            return
         self.tolerance = EXACT if crossbar.full_scale is None else STEP_SHARE / crossbar.full_scale
         equal = np.full((1, len(crossbar.ends[0])), EQUAL_SIEMENS)
         apparent, jacobian = self._jacobian(np.log(equal))
@@ -357,6 +368,8 @@ class Corrector:
 
         Readings are shares of full scale, above 0 and, with a divider, below 1.
         """
+        if self.crossbar.scan_mode == ScanMode.PLAIN:
+            return self.crossbar.uncorrected(readings)
         xp, apparent = namespace(readings), self.crossbar.apparent_conductances(readings)
         if not len(apparent):
             return self.crossbar.as_pillars(apparent)

@@ -239,7 +239,7 @@ class ForceReader:
         if needs and rest_ohm is None:
             raise FileFormatError(
                 f"the model states no design, so what the sensor should show at rest is unknown: leave {needs} out, or "
-                "train on data that state their design."
+                "train on data that state their design or hold samples without a load."
             )
         contact_ohm = 0.0 if model.design is None else 2.0 * model.design.electrics.contact_ohm
         self.memory = None if causal is None or rest_ohm is None else MemoryReader(causal, rest_ohm, contact_ohm)
@@ -262,7 +262,7 @@ class ForceReader:
         """Test that names broken pillars and wires in windows of scans; None if the model knows too little for it."""
         from decoupler.evaluation.faults import FaultTest  # as heavy as the model, which not every reader has
 
-        return FaultTest.of(self._decoder)
+        return None if self._decoder.design is None else FaultTest.of(self._decoder)
 
     def measured(self, counts: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Resistances (n, rows, cols, P) [Ω] that counts (n, n_crossings) stand for, and which are saturated."""

@@ -13,7 +13,8 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, Self
@@ -26,6 +27,7 @@ from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
 from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
+from hardware.link.lines import LineDecoder, counted, ranged
 from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
@@ -200,8 +202,8 @@ def _json(content: bytes) -> dict[str, Any]:
     return plain if isinstance(plain, dict) else {}
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording, whatever its name: a recorder's file, or the bytes that a board sent.
+def read_recording(path: Path, stated: Info | None = None) -> Recording:
+    """Read a recording, whatever its name: a recorder's file, or the bytes that a board sent, or lines of one `stated`.
 
     Damaged frames are left out, counted, and named in `Recording.damaged_at`; so is the unfinished last one of a
     recorder that was killed. `FileFormatError` if the file is missing, no recording, or holds no frame or those of two
@@ -216,9 +218,46 @@ def read_recording(path: Path) -> Recording:
                     f"{path}: an export for other programs, which is not read back: give the recording (.frames)."
                 )
             file.seek(0)
-            return _read(file, str(path))
+            return _read(file, str(path)) if stated is None else _read_lines(file, stated, str(path))
     except OSError as error:
         raise FileFormatError(f"{path}: {why_unreadable(error)}: give a recording.") from error
+
+
+def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
+    decoder, rows, cols = LineDecoder([stated]), stated.rows, stated.cols
+    matrices = [
+        each for piece in (*iter(partial(file.read, _PIECE_BYTES), b""), b"\n") for each in decoder.matrices(piece)
+    ]
+    width = max(map(len, matrices), default=0)
+    if not (whole := [each for each in matrices if len(each) == width]):
+        raise FileFormatError(
+            f"{source}: no line of {rows} × {cols} numbers from 0 on, and no {rows} lines of {cols}: correct rows= and "
+            "cols=, or leave them out for a recording (.frames)."
+        )
+    numbers = np.array(whole)
+    clock = np.arange(len(numbers)) / stated.rate_hz
+    if numbers.shape[1] > rows * cols:
+        is_last = bool((np.diff(numbers[:, 0]) < 0).any() and (np.diff(numbers[:, -1]) >= 0).all())
+        clock, numbers = numbers[:, -is_last], np.delete(numbers, -is_last, axis=1)
+        clock = (clock - clock[0]) * (1.0 if (clock % 1.0).any() else 1e-3)  # with decimals seconds, else milliseconds
+        stated = replace(stated, rate_hz=round(1.0 / np.clip(np.median(np.diff(clock, prepend=-1.0)), 1e-3, 1.0)))
+    info, n = ranged(stated, numbers), len(numbers)
+    counts, is_bound = counted(info, numbers)
+    device_us = (np.rint(1e6 * clock).astype(np.int64) % 2**32).astype(np.uint32)
+    sequence, run = (np.arange(n) % 2**16).astype(np.uint16), np.zeros(n, np.uint32)
+    run[1:] = np.cumsum(is_restart(sequence, device_us))
+    return Recording(
+        info=info,
+        counts=counts,
+        sequence=sequence,
+        device_us=device_us,
+        flags=(is_bound | info.scan_mode << 1).astype(np.uint8),
+        overruns=np.zeros(n, np.uint8),
+        run=run,
+        received_s=None,
+        time_s=unwrapped_s(device_us, run, None),
+        statistics=Statistics(ok=n, info=1, bad_form=decoder.statistics.bad_form + len(matrices) - n),
+    )
 
 
 def parse_recording(stream: bytes, source: str = "recording") -> Recording:
@@ -293,7 +332,7 @@ def _common_header(stated: list[Header], n: int, size: int, source: str) -> Head
         found = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
         raise FileFormatError(
             f"{source}: {found if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
-            "rate, with the answer to '?' first."
+            "rate, with the answer to '?' first; of a log of plain numbers, rows= and cols= of them."
         )
     if not n:
         raise FileFormatError(f"{source}: an INFO frame but no data frame: record for longer.")

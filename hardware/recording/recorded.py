@@ -23,7 +23,7 @@ COLUMNS = {  #: by frame, as NetCDF and MCAP have them
     "counts": "in the order of the wires, docs/frames.md",
     "sequence": "frames sent since the board's start, modulo 2^16",
     "device_us": "board's clock at the start of the scan [us], modulo 2^32",
-    "flags": "bit 0: saturation; bits 1 and 2: scan mode",
+    "flags": "bit 0: saturation; bits 1 to 3: scan mode",
     "overruns": "scans skipped since the board's start, 255 stands for more",
     "run": "counts up where the board or the recorder began anew; nothing is lost from one to the next",
     "received_s": "arrival at the host",
@@ -80,7 +80,7 @@ class Recording(Header):
     counts: NDArray[np.uint16]  #: (n, n_crossings), in the order of `geometry.wiring.crossings`
     sequence: NDArray[np.uint16]  #: (n,), modulo 2¹⁶; gaps are lost frames
     device_us: NDArray[np.uint32]  #: (n,), the board's clock as sent [µs], modulo 2³²
-    flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 and 2 the scan mode
+    flags: NDArray[np.uint8]  #: (n,), as sent: bit 0 saturation, bits 1 to 3 the scan mode
     overruns: NDArray[np.uint8]  #: (n,), the board's counter as sent
     run: NDArray[np.uint32]  #: (n,), counts up where board or recorder began anew; nothing counts as lost between
     received_s: FloatArray | None  #: (n,), host's Unix time of arrival [s]; a stream of bytes has none

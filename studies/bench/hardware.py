@@ -23,7 +23,7 @@ from hardware.boards.simulated import STEP_S, Motion, PressAndSlide, press_and_s
 from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics, SensorCalibration
-from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.readout.crossbar import SUITED_SENSE_OHM, Corrector, Crossbar
 from hardware.readout.forces import ForceReader, LiveSensor
 from hardware.session import milliseconds, scans_within
 from studies.paper_sensor import board_info, joint_net
@@ -158,14 +158,16 @@ def bench(
         found = {
             "crosstalk": [
                 crosstalk(motion, mode, switch_ohm, bits)
-                for mode in ScanMode
+                for mode in SUITED_SENSE_OHM
                 for switch_ohm in (25.0, 100.0)
                 for bits in (10, 12, 16)
             ],
-            "forces": [forces_by(motion, model, mode) for mode in ScanMode],
-            "mistaken": [mistaken(motion, mode) for mode in ScanMode],
-            "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in ScanMode],
-            "live": [live(motion, model, mode, rate_hz, seconds) for mode in ScanMode for rate_hz in (150, 500)],
+            "forces": [forces_by(motion, model, mode) for mode in SUITED_SENSE_OHM],
+            "mistaken": [mistaken(motion, mode) for mode in SUITED_SENSE_OHM],
+            "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in SUITED_SENSE_OHM],
+            "live": [
+                live(motion, model, mode, rate_hz, seconds) for mode in SUITED_SENSE_OHM for rate_hz in (150, 500)
+            ],
         }
     report({TITLES[name]: rows for name, rows in found.items()}, out, measured_on(("numpy", "torch")))
 

@@ -127,7 +127,8 @@ def plan_figure_9(response: ArrayResponse, asked: Experiments, kinds: Kinds) -> 
             network, training = NETWORKS[name]
             for hidden in widths:
                 sized = replace(network, hidden=hidden)
-                job = (fold, data, component, sized, training, response, trained_on, tested_on)
+                settings = {"component": component, "network": sized, "training": training, "response": response}
+                job = (fold, data, settings, trained_on, tested_on)
                 yield trial_of(network=name, hidden=hidden), job
 
 

@@ -59,8 +59,8 @@ def rows_of(name: str, protocol: str, progress: Callable[[int], None] = lambda p
             pairs=count,
             error_pct=_triple(one.errors.full_scale_pct for one in found.values()),
             limit_pct=limit,
-            within_68=_triple(one.coverage[0] for one in found.values() if one.coverage is not None),
-            within_95=_triple(one.coverage[1] for one in found.values() if one.coverage is not None),
+            within_68=_triple(one.coverage[0] for one in found.values()),
+            within_95=_triple(one.coverage[1] for one in found.values()),
             seconds=seconds,
         )
 

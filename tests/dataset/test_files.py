@@ -20,6 +20,7 @@ from dataset.table import columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.design import Unit
+from geometry.layout import LAYOUTS
 from tests.house import House
 
 FORMS = ("nc", "zarr", "csv")
@@ -116,7 +117,7 @@ def test_a_file_names_the_pillars_of_its_layout(any_response, tmp_path, form):
         other = by_others(bare, tmp_path / f"b.{form}", lambda d: d.isel(pillar=slice(None, None, -1)))
         assert np.array_equal(read_samples(other)[:].resistance_ohm, made.resistance_ohm)
         more = by_others(bare, tmp_path / f"c.{form}", lambda d: d.rename(pillar="p").drop_vars("p").rename(p="pillar"))
-        if layout == Unit().layout:
+        if layout == Unit().layout or (form == "nc" and len(layout.pillars) == 1):
             assert np.array_equal(read_samples(more)[:].resistance_ohm, made.resistance_ohm)
         else:
             assert f"is of size {len(layout.pillars)}, expected ['z', 'x', 'y']" in refusal(more)
@@ -229,8 +230,10 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
     rows = [line.split(",") for line in write(data, tmp_path / "own.csv").read_text().splitlines()]
     rows = [["my number", *reversed(rows[0])], *([str(number), *reversed(row)] for number, row in enumerate(rows[1:]))]
-    for separator, decimal in ((",", "."), (";", ","), ("\t", ".")):
-        text = "\n".join(separator.join(cell.replace(".", decimal) for cell in row) for row in rows)
+    rows = [[*row, ""] for row in rows]
+    for separator, decimal in ((",", "."), (";", ","), ("\t", "."), ("\t", ","), (";", ".")):
+        text = [separator.join(cell.replace(".", decimal) for cell in row) for row in rows]
+        text = "\n".join(["Prüfung", "", *text, separator * (len(rows[0]) - 1)])
         (tmp_path / "other.csv").write_text("\ufeff" + text, encoding="utf-8")
         back = read_samples(tmp_path / "other.csv")
         assert all(np.array_equal(getattr(back, name), getattr(data, name)) for name in LABELS)
@@ -457,3 +460,29 @@ def test_any_choice_from_disk_is_that_from_memory_which_may_be_too_small_for_all
 def test_arrays_that_do_not_fit_are_refused(data, name, shape, said):
     with pytest.raises(ValueError, match=said):
         replace(data, **{name: np.ones(shape)})
+
+
+@pytest.mark.parametrize("form", ["short names", "counts", "three dims", "one pillar", "labelled"])
+def test_one_reading_and_one_force_a_unit_are_data_of_the_layout_single(form, tmp_path):
+    """Counts of 0 stand for half a count; forces along x and y are 0."""
+    generator, path = np.random.default_rng(0), tmp_path / ("a.csv" if form in ("short names", "counts") else "a.nc")
+    ohms, newtons = generator.uniform(1e3, 2e3, (4, 2, 3)), generator.uniform(0.0, 9.0, (4, 2, 3))
+    ohms = np.round(ohms - 1e3) * (ohms > 1.2e3) if form == "counts" else ohms
+    if path.suffix == ".csv":
+        names = [f"{kind}_{row}_{col}" for kind in "rf" for row, col in np.ndindex(2, 3)]
+        rows = np.hstack([ohms.reshape(4, -1), newtons.reshape(4, -1)])
+        np.savetxt(path, rows, "%.17g", ",", header=",".join(names), comments="")
+    else:
+        dims, last = ("sample", "row", "col"), {"force_n": "axis", "resistance_ohm": "pillar"}
+        given = {"force_n": newtons, "resistance_ohm": ohms}
+        if form == "three dims":
+            found = xr.Dataset({name: (dims, values) for name, values in given.items()})
+        else:
+            found = xr.Dataset({name: ((*dims, last[name]), values[..., None]) for name, values in given.items()})
+        found = found.assign_coords(axis=["z"], pillar=["z"]) if form == "labelled" else found
+        found.to_netcdf(path)
+    back = read_samples(path)
+    assert back.layout == LAYOUTS["single"]
+    assert np.array_equal(back.force_n[..., 2], newtons)
+    assert not back.force_n[..., :2].any()
+    assert np.array_equal(back.resistance_ohm[..., 0], np.where(ohms == 0, 0.5, ohms))

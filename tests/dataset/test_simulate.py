@@ -96,6 +96,7 @@ def test_a_sample_is_the_same_alone_and_in_a_batch(response, protocol):
 def test_a_specimen_changes_the_resistances_alone_and_another_seed_only_its_noise(any_response):
     layout = any_response.design.unit.layout
     specimen = replace(SPECIMEN, dead_pillars=((0, 1, layout.pillar_names[0]),))
+    specimen = replace(specimen, dead_cols=(2,)) if len(layout.lower) == 1 else specimen  # of three
     exact, real = simulated(any_response), simulated(any_response, **vars(specimen))
     for name in ARRAYS[:-1]:
         assert np.array_equal(getattr(exact, name), getattr(real, name))

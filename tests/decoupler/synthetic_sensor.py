@@ -1,24 +1,22 @@
-"""A small sensor whose electrodes follow a made-up linear influence: near-diagonal, decaying with distance.
-
-Lengths and resistances are geometrically exact, so resistances are smooth and mildly nonlinear in the forces,
-as the real ones are, without a finite element in sight.
-"""
+"""A small sensor whose electrodes follow a made-up linear influence: near-diagonal, decaying with distance."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from dataset import Samples, pillar_lengths, pillar_resistances
+from decoupler.data.columns import component_named
 from fem.array.closed_forms import layer_response
-from fem.array.response import ArrayResponse
+from fem.array.response import ArrayResponse, ConductedPillars
 from fem.array.sensitivities import ResponseSensitivities
 from geometry import Array, SensorDesign
 from geometry.design import Unit
-from geometry.layout import AXES, LAYOUTS, FloatArray, Layout, pillar_volumes, unit_centres
+from geometry.layout import AXES, LAYOUTS, FloatArray, Layout, pillar_ends, pillar_volumes, unit_centres
 from geometry.tolerances import RESISTIVITY, changed, usual_deviations
 from tests.fem.scenes import BESIDE
 
 EVERY = {**LAYOUTS, "reference": BESIDE}  #: layouts by name, one of them with a pillar that no load reaches
+ALL = component_named("all")
 _RANGE_N = {"x": (29.0, 144.0), "y": (29.0, 144.0), "z": (144.0, 720.0)}  #: of independent pad loads
 
 
@@ -27,12 +25,9 @@ def sensor(rows: int = 6, cols: int = 6, layout: str = "song2018") -> SensorDesi
 
 
 def _own(layout: Layout) -> FloatArray:
-    """Motion (n_upper, 3, 3) [mm/N] of electrodes along x, y, z by forces along x, y, z (last) on their own unit.
-
-    Pressure pushes an electrode towards the unit's middle, and shear tilts the top about it.
-    """
+    """Motion (n_upper, 3, 3) [mm/N] of electrodes along x, y, z by forces along x, y, z (last) on their own unit."""
     found = np.tile(np.diag([1.0e-2, 1.0e-2, 4e-3]), (len(layout.upper), 1, 1))
-    for k, electrode in enumerate(layout.upper):
+    for k, electrode in enumerate(layout.upper):  # pressed towards the middle, about which shear tilts the top
         found[k, :2, 2], found[k, 2, :2] = -2e-3 * np.array(electrode.place), -1e-3 * np.array(electrode.place)
     return found
 
@@ -61,31 +56,29 @@ def response(design: SensorDesign) -> ArrayResponse:
 
 def layer_sensitivities(design: SensorDesign) -> ResponseSensitivities:
     """Derivatives of the closed form of a layer by all uncertain parameters of its design, central differences."""
-    deviations = {name: sd for name, sd in usual_deviations(design).items() if name != RESISTIVITY}
-    by = []
-    for name, sd in deviations.items():
-        above, below = (layer_response(changed(design, name, step * sd)).influence_mm_per_n for step in (0.1, -0.1))
-        by.append((above - below) / (0.2 * sd))
-    return ResponseSensitivities(
-        design=design,
-        parameters=tuple(deviations),
-        deviation=np.array(list(deviations.values())),
-        influence_mm_per_n=np.stack(by),
-    )
+    by = {}
+    for name, sd in usual_deviations(design).items():
+        if name != RESISTIVITY:
+            above, below = (layer_response(changed(design, name, step * sd)).influence_mm_per_n for step in (0.1, -0.1))
+            by[name] = (above - below) / (0.2 * sd)
+    return sensitivities(design, by)
 
 
 def softness(design: SensorDesign) -> ResponseSensitivities:
     """Derivatives of `response` by the rubber's modulus alone."""
-    return ResponseSensitivities(
-        design=design,
-        parameters=("rubber.young_mpa",),
-        deviation=np.array([0.61]),
-        influence_mm_per_n=-response(design).influence_mm_per_n[None] / 6.1,
-    )
+    return sensitivities(design, {"rubber.young_mpa": -response(design).influence_mm_per_n / 6.1})
+
+
+def sensitivities(design: SensorDesign, by: dict[str, FloatArray]) -> ResponseSensitivities:
+    """Of derivatives by parameters, with their usual deviations."""
+    sd = usual_deviations(design)
+    names, influence = tuple(by), np.stack(list(by.values()))
+    deviation = np.array([sd[name] for name in by])
+    return ResponseSensitivities(design=design, parameters=names, deviation=deviation, influence_mm_per_n=influence)
 
 
 def _neighbour(design: SensorDesign) -> FloatArray:
-    """How much of its own displacement a unit passes on to each other one, shape (n_units, n_units)."""
+    """How much of its displacement a unit passes on to each, (n_units, n_units)."""
     centres = unit_centres(design)
     distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1) / design.array.pitch_mm
     return np.where(distance == 0, 1.0, -0.15 * np.exp(1.0 - distance))  # incompressible: neighbours bulge
@@ -100,3 +93,24 @@ def noisy(data: Samples, noise: float) -> Samples:
 def split(data: Samples, n_train: int) -> tuple[Samples, Samples]:
     """The first `n_train` samples and the others."""
     return data[:n_train], data[n_train:]
+
+
+SMALL = sensor(2, 3)  #: a sensor that does for most
+RESPONSE = response(SMALL)
+
+
+def conducted(factor: float) -> ArrayResponse:
+    """The response with resistances as by conduction: eq. 1 with components turned, one more whose square counts −1."""
+    B = RESPONSE.influence_mm_per_n[:, :, SMALL.unit.layout.pillar_top]  # (rows, cols, 3 pillars, 3, ...)
+    d = np.broadcast_to(np.diff(pillar_ends(SMALL.unit), axis=1)[:, 0], B.shape[:4])
+    turn = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    more = factor * B[..., :1, :, :, :]
+    return replace(
+        RESPONSE,
+        conducted=ConductedPillars(
+            rest_mm=np.concatenate([d @ turn.T, 0 * d[..., :1]], axis=3),
+            influence_mm_per_n=np.concatenate([np.einsum("kb,ijpbrca->ijpkrca", turn, B), more], axis=3),
+            sign=np.broadcast_to([1.0, 1.0, 1.0, -1.0], (*d.shape[:3], 4)),
+            error_estimate=0.0,
+        ),
+    )

@@ -1,20 +1,22 @@
 """Faults of pillars and wires are named, loads that the model does not know are loud; sound sensors raise no alarm."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from dataset import Samples
 from dataset.measurement import measured
-from decoupler.data.columns import component_named
 from decoupler.evaluation.faults import WINDOW, FaultTest
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.foretold import Foretold
 from decoupler.model.settings import NetworkConfig
 from decoupler.model.usual import FALSE_ALARMS, LoadTest, UsualLoads
 from decoupler.training.trainer import train
-from tests.decoupler.synthetic_sensor import response, sensor
+from tests.decoupler.synthetic_sensor import ALL, response, sensor
 
 SENSOR = sensor(3, 3)
-FORWARD = SensorModel.of(response(SENSOR), component_named("all"))
+FORWARD = SensorModel.of(response(SENSOR), ALL)
 NOISE = 1e-3
 SMOOTH = np.exp(-0.5 * np.subtract.outer(np.arange(3), np.arange(3)) ** 2 / 1.5**2)  # indenters as wide as two pads
 
@@ -36,9 +38,9 @@ def loads(n, seed):
     return force_n.reshape(n, -1)
 
 
-def readings(force_n, seed=1, bits=12):
+def readings(force_n, seed=1, bits=12, forward=FORWARD):
     """What the sensor shows under forces (n, 27), with noise and a converter."""
-    ohms = FORWARD.resistances(force_n).reshape(-1, 3, 3, 3)
+    ohms = forward.resistances(force_n).reshape(len(force_n), 3, 3, -1)
     return measured(ohms, NOISE, bits, np.random.default_rng(seed))
 
 
@@ -73,11 +75,7 @@ def test_each_fault_is_named_by_pillar_or_wire(where, reads, said, expected):
 
 
 def test_sound_sensors_raise_no_alarm(expected):
-    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches.
-
-    Nor a pillar that reads the same at rest, where nothing says that it should move, nor one of another gain, since
-    forces on its pad move it as well.
-    """
+    """Under usual loads, under loads held still, at rest, under one press that grows and under light touches."""
     touch, rest = np.zeros((2, WINDOW, 27))
     touch[:, 14] = np.linspace(0.0, 300.0, WINDOW)
     light = np.random.default_rng(3).uniform(0.0, 5.0, (WINDOW, 27))
@@ -87,17 +85,13 @@ def test_sound_sensors_raise_no_alarm(expected):
         for force_n in (usual, np.repeat(usual[:4], WINDOW // 4, axis=0), kinds[seed % 3]):
             assert expected.named(readings(force_n, seed)) == ()
     still, other = readings(rest), readings(presses(WINDOW, 100))
-    still[STILL] = still[0, 1, 2, 0]
-    other[:, 1, 1, 0] *= 1.02
+    still[STILL] = still[0, 1, 2, 0]  # at rest nothing says that it should move
+    other[:, 1, 1, 0] *= 1.02  # forces on its pad move it as well
     assert expected.named(still) == expected.named(other) == ()
 
 
 def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
-    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit.
-
-    Another gain, loads 1.3 times beyond the range, tension and shear without pressure always are. A broken pillar is
-    left out instead, and what the others show is a usual load.
-    """
+    """At rest, under one pad's press and under loads as in training few in a thousand are beyond the limit."""
     model = trained(loads(400, 5), bits=None)
     one_pad, rest = np.zeros((2, 2000, 27))
     one_pad[np.arange(2000), 3 * np.random.default_rng(0).integers(9, size=2000) + 2] = 300.0
@@ -105,9 +99,9 @@ def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
         assert np.greater(*model.consistency(readings(force_n, bits=None))).mean() <= 3 * FALSE_ALARMS
     broken = readings(loads(200, 9), bits=None)
     broken[:, 1, 1, 0] = 1e9
-    pads = [0.0, 0.0, 936.0], [0.0, 0.0, -20.0], [40.0, 0.0, 0.0]
+    pads = [0.0, 0.0, 936.0], [0.0, 0.0, -20.0], [40.0, 0.0, 0.0]  # beyond the range, tension, shear alone
     beyond = [readings(np.tile(pad, (200, 9)), bits=None) for pad in pads]
-    assert model.lost(broken)[:, 1, 1, 0].all()
+    assert model.lost(broken)[:, 1, 1, 0].all()  # left out, and what the others show is a usual load
     assert np.less(*model.consistency(broken)).mean() > 0.9
     for reading in (1.02 * readings(rest[:200], bits=None), *beyond):
         assert np.greater(*model.consistency(reading)).all()
@@ -117,17 +111,10 @@ def test_usual_loads_raise_no_alarm_and_what_no_load_explains_is_told():
 def test_a_net_without_a_response_tells_another_sensor_by_its_readings(layout):
     """Gains of 0.9 to 1.1 of each pillar; its own under usual and light loads, at rest and without a pillar pass."""
     design = sensor(3, 3, layout)
-    forward = SensorModel.of(response(design), component_named("all"))
-
-    def read_ohm(force_n, seed):
-        return measured(
-            forward.resistances(force_n).reshape(len(force_n), 3, 3, -1), NOISE, 12, np.random.default_rng(seed)
-        )
-
+    read_ohm = partial(readings, forward=SensorModel.of(response(design), ALL))
     force_n, unseen_n = presses(400, 5), presses(1000, 6)
-    data = Samples(
-        force_n=force_n.reshape(-1, 3, 3, 3), resistance_ohm=read_ohm(force_n, 1), design=design, noise=NOISE, bits=12
-    )
+    own = {"force_n": force_n.reshape(-1, 3, 3, 3), "resistance_ohm": read_ohm(force_n)}
+    data = Samples(**own, design=design, noise=NOISE, bits=12)
     model = train(data, "all", NetworkConfig(hidden=4, net="plain", feature="root"))
     own = read_ohm(unseen_n, 2)
     broken = own[:100].copy()
@@ -148,3 +135,31 @@ def test_the_limit_is_the_quantile_of_correlated_errors(common):
     errors = np.random.default_rng(0).standard_normal((100_000, 30)) @ np.linalg.cholesky(correlation).T
     # 100 of 100,000 ± 30 by chance, and a quarter by the approximation
     assert (test.chi2(errors) > test.limit).mean() == pytest.approx(FALSE_ALARMS, rel=0.4)
+
+
+GENERATOR = np.random.default_rng(0)
+S = np.cov(GENERATOR.standard_normal((7, 7)) @ GENERATOR.standard_normal((7, 200)))
+MEAN = np.arange(7.0)
+
+
+@pytest.mark.parametrize("which", [[2], [0, 5], [6, 1, 3]])
+def test_the_conditional_mean_and_covariance_are_those_of_the_others(which):
+    """S_go S_oo⁻¹ (y_o − mean_o) and S_gg − S_go S_oo⁻¹ S_og, whatever stands in the places of the group."""
+    known = Foretold.by(np.linalg.inv(S), np.array(which), MEAN)
+    others = np.setdiff1d(np.arange(7), which)
+    by_others = np.linalg.solve(S[np.ix_(others, others)], S[np.ix_(others, which)])
+    y = np.random.default_rng(1).standard_normal((5, 7))
+    expected = MEAN[which] + (y - MEAN)[:, others] @ by_others
+    y[:, which] = 1e3
+    assert known.told(y) == pytest.approx(expected, rel=1e-9)
+    left = S[np.ix_(which, which)] - by_others.T @ S[np.ix_(others, which)]
+    assert known.covariance == pytest.approx(left, rel=1e-9)
+
+
+def test_groups_are_foretold_as_each_alone():
+    groups, K = np.array([[0, 5], [2, 3], [6, 1]]), np.linalg.inv(S)
+    together = Foretold.by(K, groups)
+    for number, which in enumerate(groups):
+        alone = Foretold.by(K, which)
+        assert together.weights[number] == pytest.approx(alone.weights, rel=1e-9, abs=1e-12)
+        assert together.covariance[number] == pytest.approx(alone.covariance, rel=1e-9)

@@ -15,13 +15,12 @@ from dataset.resistance import pillar_lengths
 from dataset.samples import Samples, joined
 from dataset.settings import BLOCK
 from dataset.simulation import LoadError
-from decoupler import SampleError, component_named, train
+from decoupler import SampleError, train
 from decoupler.data.pairs import Pairs
 from decoupler.inverse import posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, StrainMaps, neighbours
-from decoupler.model.tensors import in_torch
-from decoupler.model_file import read_model, write_model
+from decoupler.model_file import write_model
 from decoupler.training import finite_strain
 from decoupler.training.finite_strain import states_of, with_strain_maps
 from decoupler.twin import identification, identify, near_designs, read_twin, simulate_twin, strained_draws, write_twin
@@ -33,14 +32,13 @@ from geometry import Array, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
 from geometry.tolerances import usual_deviations
 from hardware.virtual import VirtualSensor
-from tests.decoupler.synthetic_sensor import labelled, response, sensor
+from tests.decoupler.synthetic_sensor import ALL, labelled, response, sensitivities, sensor
 
-SENSOR, ALL = sensor(1, 2), component_named("all")
+SENSOR = sensor(1, 2)
 EVEN = response(SENSOR)
 #: not its own image in a mirror, as made-up laws are not
-RESPONSE = replace(
-    EVEN, influence_mm_per_n=EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
-)
+UNEVEN = EVEN.influence_mm_per_n * np.linspace(1.0, 1.001, 2)[:, None, None, None, None]
+RESPONSE = replace(EVEN, influence_mm_per_n=UNEVEN)
 LINEAR = SensorModel.of(RESPONSE, ALL)
 STATES = labelled(SENSOR, "xyz", n_samples=1200, seed=0).force_n.reshape(1200, -1)
 SIZES = np.concatenate([np.full(3, np.std(STATES)), np.std(STATES @ LINEAR.influence) * np.ones(6)])
@@ -52,15 +50,9 @@ def law(strength: float, linear: SensorModel = LINEAR) -> SensorModel:
     weights = np.zeros((N_FEATURES, sum(sizes)))
     weights[:N_CURVED] = np.random.default_rng(3).standard_normal((N_CURVED, sum(sizes)))
     weights *= strength * 2e-4 * np.repeat([np.std(STATES), 100.0], sizes)
-    maps = StrainMaps(
-        influence=linear.influence,
-        near=neighbours(1, 2),
-        sizes=SIZES,
-        weights=weights,
-        misfit=np.repeat([0.1, 1e-3], sizes),
-        growth=np.array([1.0, 0.0]),
-    )
-    return replace(linear, maps=maps)
+    errors = {"misfit": np.repeat([0.1, 1e-3], sizes), "growth": np.array([1.0, 0.0])}
+    known = {"influence": linear.influence, "near": neighbours(1, 2), "sizes": SIZES}
+    return replace(linear, maps=StrainMaps(**known, weights=weights, **errors))
 
 
 def forces(maps: StrainMaps, state_n: np.ndarray) -> np.ndarray:
@@ -95,11 +87,6 @@ def learned(layout: str = "song2018"):
     with mock.patch.multiple(finite_strain, DRAWS=3000, HIDDEN=15):  # enough for two units
         trained = train(joined([replace(weak, strain_model=np.zeros(1200))[:20], whole[:300]]), response=known)
     return trained, whole[1000:]
-
-
-@pytest.fixture(scope="module")
-def decoder():
-    return learned()[0]
 
 
 def test_maps_are_learned_from_samples():
@@ -150,9 +137,8 @@ def test_maps_of_every_layout_follow_the_solver_under_loads_that_they_have_not_s
     missed_n = states_of(test.displacement_mm, forward.maps.influence)
     off_n = forces(forward.maps, missed_n) - force_n
     assert np.std(off_n) < 0.1 * np.std(missed_n - force_n)
-    assert np.std(forward.at_states(state_n)[0] - squares) < 0.1 * np.std(
-        forward.linear.lengths(force_n) ** 2 - squares
-    )
+    linear_squares = forward.linear.lengths(force_n) ** 2
+    assert np.std(forward.at_states(state_n)[0] - squares) < 0.1 * np.std(linear_squares - squares)
     assert np.std(off_n) < 3 * np.sqrt(np.mean(forward.maps.misfit[:3] ** 2))
 
 
@@ -217,13 +203,7 @@ def test_derivatives_are_slopes():
 
 def two_parameters() -> ResponseSensitivities:
     """The parameters of specimens; derivatives of the linear response do not count at finite strain."""
-    names = "rubber.young_mpa", "pad.size_mm"
-    return ResponseSensitivities(
-        design=SENSOR,
-        parameters=names,
-        deviation=np.array([usual_deviations(SENSOR)[name] for name in names]),
-        influence_mm_per_n=np.stack([response(SENSOR).influence_mm_per_n] * 2),
-    )
+    return sensitivities(SENSOR, dict.fromkeys(("rubber.young_mpa", "pad.size_mm"), EVEN.influence_mm_per_n))
 
 
 def assert_slopes(function, point, slopes, size):
@@ -244,10 +224,10 @@ def test_states_are_found_rest_is_rest_and_forces_beyond_the_samples_are_refused
         replace(maps, weights=weights).states(np.tile([0.0, 0.0, SIZES[2]], (1, 2)))
 
 
-def test_training_takes_the_posterior_of_what_it_learned(decoder):
+def test_training_takes_the_posterior_of_what_it_learned():
     """Joined with linear samples: errors are nearer to those of the noise than the network's alone, at their end."""
-    truth = samples(law(1.0), noise=1e-3)
-    ohms, force_n = truth.resistance_ohm[1000:], truth.force_n[1000:]
+    decoder, truth = learned()
+    ohms, force_n = truth.resistance_ohm, truth.force_n
     first_n = decoder.first_answers(decoder.columns(ohms))
     off_n = decoder.forces(ohms) - force_n
     assert np.std(first_n - force_n.reshape(200, -1)) > 1.2 * np.std(off_n)
@@ -286,15 +266,16 @@ def made_up(known, sensitivities, force_n, other):
     return Answers(displacement_mm=moved, squares_mm2=squares, settled=there_are)
 
 
-def test_pads_that_do_not_add_up_are_met(decoder, monkeypatch):
+def test_pads_that_do_not_add_up_are_met(monkeypatch):
     """Where pads' size acts by its square, maps about other pads, changed as far as these, are those of a solve."""
     monkeypatch.setattr(near_designs, "answers", made_up)
     monkeypatch.setitem(MEANT, "acts_as", lambda mm: MEANT_MM + 3 * (mm - MEANT_MM) ** 2)
-    near = near_designs.NearDesigns(decoder.posterior, response(SENSOR), two_parameters())
+    known = learned()[0].posterior
+    near = near_designs.NearDesigns(known, response(SENSOR), two_parameters())
     by_weights = near.by_parameters()
     about = near.about_pads({"pad.size_mm": 12.4, "rubber.young_mpa": 1.0}, by_weights)
     changed = by_weights[:, 1] * 0.4 / two_parameters().deviation[1]
-    met = (about.maps.weights + changed - decoder.posterior.forward.maps.weights)[FEW]
+    met = (about.maps.weights + changed - known.forward.maps.weights)[FEW]
     solved = near.change(replace(SENSOR, pad=replace(SENSOR.pad, size_mm=12.4)))
     np.testing.assert_allclose(met, solved, rtol=1e-9, atol=1e-12 * np.abs(solved).max())
     assert np.abs(changed[FEW] - solved).max() > 0.1 * np.abs(solved).max()
@@ -317,7 +298,7 @@ def identified():
     return twin, truth[10:], len(SOLVED)
 
 
-def test_a_specimen_is_found_from_pairs(decoder, tmp_path):
+def test_a_specimen_is_found_from_pairs():
     """Larger pads, softer rubber, gains: ten pairs halve the errors, find both within three deviations, which hold."""
     twin, test, solved = identified()
     assert solved == 2  # as meant and with larger pads: by eq. 1 those found need no solve
@@ -325,18 +306,9 @@ def test_a_specimen_is_found_from_pairs(decoder, tmp_path):
         value, deviation = twin.parameters[name]
         assert abs(value - true) < 3.0 * deviation
         assert deviation < 0.5 * usual_deviations(SENSOR)[name]
-    own, designs = (np.abs(each.forces(test.resistance_ohm) - test.force_n) for each in (twin.decoder, decoder))
-    one, two = twin.decoder.half_widths(test.resistance_ohm)
+    own, designs = (np.abs(each.forces(test.resistance_ohm) - test.force_n) for each in (twin.decoder, learned()[0]))
     assert own.mean() < 0.5 * designs.mean()
-    assert 0.6 < (own < one).mean() < 0.85
-    assert (own < two).mean() > 0.92
-    write_model(twin.decoder, tmp_path / "own.safetensors")
-    again = read_model(tmp_path / "own.safetensors")
-    ohms, found = test.resistance_ohm[:20], twin.decoder.forces(test.resistance_ohm[:20])
-    assert np.array_equal(again.forces(ohms), found)
-    columns = torch.from_numpy(again.columns(ohms))
-    tensors = in_torch(again, columns).outputs(columns).numpy()
-    np.testing.assert_allclose(tensors.reshape(found.shape), found, atol=1e-6 * np.abs(found).max())  # single draws
+    assert (own < twin.decoder.half_widths(test.resistance_ohm)[1]).mean() > 0.92
 
 
 def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_path):
@@ -344,17 +316,15 @@ def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_pa
     write_model(identified()[0].decoder, tmp_path / "own.safetensors")
     write_twin(identified()[0], tmp_path / "twin.toml", tmp_path / "own.safetensors")
     twin = read_twin(tmp_path / "twin.toml")
-    known, many = (
-        replace(RESPONSE, design=twin.design),
-        DatasetSettings(protocol="three-axis", samples=BLOCK + 88, seed=5),
-    )
-    drawn, decoder = simulate_twin(twin, known, replace(many, noise=1e-3)), twin.read_decoder()
+    known = replace(RESPONSE, design=twin.design)
+    many = DatasetSettings(protocol="three-axis", samples=BLOCK + 88, seed=5, noise=1e-3)
+    drawn, decoder = simulate_twin(twin, known, many), twin.read_decoder()
     assert drawn.is_finite.all()
     off = np.abs(decoder.forces(drawn.resistance_ohm) - drawn.force_n)
     one, two = decoder.half_widths(drawn.resistance_ohm)
     assert 0.65 < (off < one).mean() < 0.73  # 0.75 and 0.81 without what maps miss, or of one sensor alone
     assert 0.92 < (off < two).mean() < 0.98
-    part = simulate_twin(twin, known, replace(many, noise=1e-3), numbers=range(BLOCK, BLOCK + 88))
+    part = simulate_twin(twin, known, many, numbers=range(BLOCK, BLOCK + 88))
     assert np.array_equal(part.resistance_ohm, drawn.resistance_ohm[BLOCK:])
     with pytest.raises(SampleError, match="of a twin hold no displacements: its own decoder has learned finite strain"):
         train(drawn, response=known)

@@ -147,7 +147,7 @@ def test_layouts_come_back_whole_in_whatever_way_they_are_written(layout):
 ONE = 'electrode = [{name = "U", level = "upper", place = [0, 0]}, {name = "L", level = "lower", place = [0, 0]}'
 PILLAR = 'pillar = [{name = "z", from = "L", to = "U"'
 REFUSED_LAYOUTS = {
-    'layout = "seven"': "layout = 'seven': give one of song2018, six-pillar, eight-pillar, upright-four",
+    'layout = "seven"': "layout = 'seven': give one of song2018, six-pillar, eight-pillar, upright-four, single",
     f"{ONE}]\n{PILLAR}}}, {{name = 3, from = 'L', to = 'U'}}]": "3 is no name: give up to 8",
     f"{ONE}]\n{PILLAR}}}, {{name = 'z', from = 'L', to = 'U'}}]": "two pillars are named z",
     f"{ONE}]\n{PILLAR}, section = 'oval'}}]": "[[pillar]] 1: section='oval' must be one of square, round",

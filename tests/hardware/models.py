@@ -22,6 +22,10 @@ class Unknown(Decoder):
     is_identified = False
     made_from: ClassVar = {}
     layout = SONG2018
+    rows = cols = 0  # of those made from it
+
+    def __init__(self):
+        pass
 
     def without(self, pillars):
         return self

@@ -6,15 +6,14 @@ import pytest
 from common.errors import FileFormatError
 from geometry.design import SensorDesign
 from hardware.boards.simulated import PressAndSlide
-from hardware.link.frames import ScanMode
 from hardware.readout.averaging import averaged, min_scans, movement, require_still
-from hardware.readout.crossbar import Crossbar
+from hardware.readout.crossbar import SUITED_SENSE_OHM, Crossbar
 
 REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (6, 6, 1))
 RATE_HZ, N = 150, 300  # of the 2 s that a tare takes
 
 
-@pytest.mark.parametrize("mode", list(ScanMode))
+@pytest.mark.parametrize("mode", SUITED_SENSE_OHM)
 def test_a_quiet_converter_is_trusted_to_its_steps(mode):
     """Without scatter all that is left are steps: the true errors' median is about what is said."""
     crossbar = Crossbar.suited(mode, bits=10)
@@ -44,7 +43,7 @@ def counts_of(ohms, crossbar, generator):
     return crossbar.counts(ohms * generator.uniform(0.95, 1.05, (6, 6, 3)), generator)
 
 
-@pytest.mark.parametrize("mode", list(ScanMode))
+@pytest.mark.parametrize("mode", SUITED_SENSE_OHM)
 @pytest.mark.parametrize(("bits", "noise"), [(10, 3e-4), (16, 1e-4)])
 def test_rest_is_rarely_taken_for_motion(mode, bits, noise):
     """One in a thousand is promised; of 200, three or more would come once in a thousand times."""

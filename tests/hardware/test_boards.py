@@ -1,16 +1,18 @@
 """One contract for all boards on all ports; and boards that are not there, by a clock of the tests."""
 
 import math
-from collections import Counter
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from common.errors import DesignError
+from geometry.layout import LAYOUTS
 from hardware.boards.python_board import CountedPort, PythonBoard
-from hardware.link.frames import Errors, Frame, Info, Statistics, encode
-from hardware.link.protocols import PROTOCOLS, BoardProtocol, spoken_on
+from hardware.link.frames import Errors, ScanMode, Statistics, encode
+from hardware.link.lines import matrix_info
+from hardware.link.protocols import PROTOCOLS, spoken_on
 from hardware.link.scanner import Link, Scanner
 from hardware.recording import PlaybackPort, parse_recording, read_recording
 from hardware.session import record_scans
@@ -33,38 +35,18 @@ PERIOD_S = 1 / INFO.rate_hz
 N = 60
 
 
-class LineDecoder:
-    """Frames of another kind of board: lines of text, ``I rate serial`` and ``D sequence us count...``."""
-
-    def __init__(self):
-        self._rest, self._counted = b"", Counter()
-
-    @property
-    def statistics(self):
-        return Statistics(**self._counted)
-
-    def feed(self, data):
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        return [frame for line in lines if (frame := self._frame(line.split()))]
-
-    def _frame(self, words):
-        try:
-            kind, numbers = words[0], [int(word) for word in words[1:]]
-            if kind == b"I":
-                return Info(rate_hz=numbers[0], serial=numbers[1])
-            frame = Frame(sequence=numbers[0], device_us=numbers[1], bits=10, counts=np.array(numbers[2:]))
-            self._counted["ok"] += 1
-            return frame
-        except (ValueError, IndexError):
-            self._counted["bad_form"] += 1
-            return None
-
-
-LINES = BoardProtocol(decoder=LineDecoder, question=b"info\n", rate=b"rate %d\n".__mod__)
+MAT = replace(INFO, cols=18, bits=16, scan_mode=ScanMode.PLAIN, rate_hz=100, serial=0, sense_ohm=65535)
+MAT = replace(MAT, layout=LAYOUTS["single"])  # whole numbers, one a unit
 
 
 def a_line(k):
-    return b"D %d %d %s\n" % (k, round(k * 1e6 * PERIOD_S), b" ".join(b"%d" % count for count in COUNTS[k % 50]))
+    return b"Mat: %s\r\n" % b", ".join(b"%d" % count for count in COUNTS[k % 50])
+
+
+def a_mat():
+    port = ScriptedPort(b"ready\n1,2,3\n", *(a_line(k) for k in range(N)))
+    port.written = b"no question"
+    return port
 
 
 def a_board(counts=COUNTS, step_s=None):
@@ -88,9 +70,7 @@ BOARDS = {
     "python in memory": lambda chip: nullcontext(a_board()),
     "recorded": lambda chip: nullcontext(a_playback(speed=math.inf)),
     "scripted": lambda chip: nullcontext(ScriptedPort(encode(INFO), *(a_wire(k) for k in range(N)))),
-    "another protocol": lambda chip: nullcontext(
-        ScriptedPort(b"I 200 3\nD broken 1\n", *(a_line(k) for k in range(N)))
-    ),
+    "lines": lambda chip: nullcontext(a_mat()),
     "python on a terminal": lambda chip: on_a_terminal(PythonBoard(COUNTS, INFO)),
     "chip on a terminal": lambda chip: on_a_terminal(chip("board")(fast=True)),
 }
@@ -99,9 +79,10 @@ BOARDS = {
 @pytest.mark.parametrize("kind", BOARDS)
 def test_any_board_on_any_port_gives_its_info_and_its_scans(kind, request):
     """In their order, with their counts, at the times of the board's clock; all of them where a port has an end."""
-    info = CHIP if "chip" in kind else INFO
+    info = CHIP if "chip" in kind else MAT if kind == "lines" else INFO
     with BOARDS[kind](request.getfixturevalue) as port:
-        link, scans = Link(port, None, PATIENT_S, LINES if kind == "another protocol" else PROTOCOLS["tripillar"]), []
+        protocol, _ = spoken_on("", matrix_info(6, 18) if kind == "lines" else None)
+        link, scans = Link(port, None, PATIENT_S, protocol), []
         while len(scans) < N and not link.is_finished:
             scans += link.take(link.read())
     assert link.reception.info == info
@@ -109,6 +90,9 @@ def test_any_board_on_any_port_gives_its_info_and_its_scans(kind, request):
     frames = [scan.frame for scan in scans]
     first = 0 if hasattr(port, "finished") else frames[0].sequence
     assert [frame.sequence for frame in frames] == list(range(first, first + len(frames)))
+    if kind == "lines":  # which tell no time
+        assert np.array_equal([f.counts for f in frames], COUNTS[np.arange(N) % 50])
+        return
     if "chip" in kind:
         assert all((frame.counts == DISTINCT[0, ROW_WIRE, COLUMN_WIRE]).all() for frame in frames)
     else:  # a step of counts is a period
@@ -121,14 +105,16 @@ def test_any_board_on_any_port_gives_its_info_and_its_scans(kind, request):
 
 
 def test_a_port_is_named_with_its_protocol_and_what_it_sends_is_recorded_as_any(monkeypatch, tmp_path):
-    monkeypatch.setitem(PROTOCOLS, "lines", LINES)
-    assert spoken_on("lines+socket://host:1") == (LINES, "socket://host:1")
+    with pytest.raises(DesignError, match="do not say how many units there are: give rows= and cols="):
+        spoken_on("lines+socket://host:1")
+    assert spoken_on("lines+socket://host:1", MAT)[1] == "socket://host:1"
     assert spoken_on("spam+/dev/ttyUSB0") == (PROTOCOLS["tripillar"], "spam+/dev/ttyUSB0")
-    port, opened = ScriptedPort(b"I 200 3\n", *(a_line(k) for k in range(N))), []
+    port, opened = ScriptedPort(*(a_line(k) for k in range(N))), []
     monkeypatch.setattr("hardware.link.scanner.open_port", lambda url, baud: opened.append(url) or port)
-    with Scanner("lines+/dev/board") as scanner:
+    port.written = b"heard nothing, says all"
+    with Scanner("lines+/dev/board", stated=matrix_info(6, 18)) as scanner:
         n, _ = record_scans(scanner, tmp_path / "lines.frames")
-    assert (n, opened, port.written) == (N, ["/dev/board"], b"info\n")
+    assert (n, opened) == (N, ["/dev/board"])
     assert np.array_equal(read_recording(tmp_path / "lines.frames").counts, COUNTS[np.arange(N) % 50])
 
 

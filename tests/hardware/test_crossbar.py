@@ -11,12 +11,12 @@ from geometry.design import Electrics, SensorDesign, Unit
 from geometry.layout import LAYOUTS, SONG2018, rest_lengths
 from geometry.wiring import crossings, wires
 from hardware.link.frames import ScanMode
-from hardware.readout.crossbar import STEP_SHARE, Corrector, Crossbar
+from hardware.readout.crossbar import STEP_SHARE, SUITED_SENSE_OHM, Corrector, Crossbar
 from hardware.readout.crossbar_readout import CrossbarReadout, shunts_of
 from tests.geometry.closed_forms import crossings_from_pillars
 from tests.hardware.boards import SHARED
 
-each_mode = pytest.mark.parametrize("mode", list(ScanMode))
+each_mode = pytest.mark.parametrize("mode", SUITED_SENSE_OHM)
 each_layout = pytest.mark.parametrize("layout", [*LAYOUTS.values(), SHARED], ids=[*LAYOUTS, "shared wires"])
 
 

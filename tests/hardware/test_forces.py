@@ -10,6 +10,7 @@ from common.errors import FileFormatError
 from dataset.measurement import ReadingError
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics, SensorCalibration
+from hardware.readout.crossbar import SUITED_SENSE_OHM
 from hardware.readout.forces import ForceReader, LiveSensor, replay
 from hardware.recording import parse_recording
 from tests.hardware.boards import recording_from_resistances
@@ -71,7 +72,7 @@ def test_resistances_come_back_within_the_converters_step(bits, sense_ohm):
     assert 0.9 < error.max() <= 1.02  # the bound is met; the correction ends at a hundredth of a step, half of one
 
 
-@pytest.mark.parametrize("mode", list(ScanMode))
+@pytest.mark.parametrize("mode", SUITED_SENSE_OHM)
 def test_forces_are_the_models_of_corrected_resistances_one_scan_as_many(mode):
     """Through a file; by its own calibration unless another is given.
 

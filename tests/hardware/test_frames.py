@@ -84,11 +84,11 @@ SOUND = {
 }
 WRONG = [  # what, at which offset, by which value
     ("frame", "type", 0, ord("X")),
-    ("frame", "reserved bit", 1, 8),
+    ("frame", "reserved bit", 1, 16),
     ("frame", "count high", 8, 7),
     ("frame", "over full scale", 10, 8),
     ("info", "protocol", 1, 2),
-    ("info", "scan mode", 5, 4),
+    ("info", "scan mode", 5, 5),
 ]
 
 

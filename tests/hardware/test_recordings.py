@@ -12,9 +12,12 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from common.errors import FileFormatError
+from common.errors import DesignError, FileFormatError
 from hardware.boards.python_board import a_frame
 from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
+from hardware.link.lines import matrix_info
+from hardware.readout.calibration import Electronics
+from hardware.readout.crossbar import Corrector
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
 from tests.hardware.boards import recording_from_resistances
 from tests.hardware.test_decoder import U8, U32, infos
@@ -303,3 +306,46 @@ def test_a_full_disk_is_one_line_and_the_frames_up_to_there_are_kept(path, room)
     recording = read_recording(path)
     assert recording.counts.tolist() == [frame.counts.tolist() for frame in many[:100]]
     assert (recording.truncated_bytes, recording.damaged_at, path.stat().st_size) == (0, (), size)
+
+
+A, B = [1.0, 20.0, 300.0, 4000.0], [2.0, 0.0, 5.0, 65535.0]
+LOGS = {  # of 2 × 2 numbers: what the log says, seconds of its second matrix, damaged lines
+    "lines": ("1,20,300,4000\n2,0,5,65535\n", 0.01, 0),
+    "an Arduino's": ("Mat ready\r\n[1, 20, 300, 4000]\r\n\r\n[2, 0, 5, 65535]\r\n", 0.01, 0),
+    "rows": ("Frame 1:\n1 20\n300 4000\n\nFrame 2:\n2 0\n5 65535\n", 0.01, 0),  # 1: and 2: are no numbers
+    "milliseconds": ("100;1;20;300;4000\n140;2;0;5;65535", 0.04, 0),
+    "seconds": ("1.5;1,0;20;300;4000\n1.75;2;0;5;65535\n", 0.25, 0),
+    "a clock behind": ("1 20 300 4000 7.5\n0.5 2 0 0 7.6\n2 0 5 65535 7.75", 0.1, 0),
+    "damage": ("300,4000\n1,20,300,4000\n1,2,3\n-1,2,3,4\n1,2,nan,4\n2,0,5,65535\n", 0.01, 3),
+}
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_a_log_of_plain_numbers_is_a_recording_whose_readings_are_these(kind, tmp_path):
+    text, second_s, damaged = LOGS[kind]
+    (tmp_path / "mat.csv").write_text(text)
+    found = read_recording(tmp_path / "mat.csv", matrix_info(2, 2))
+    crossbar = Electronics().crossbar(found.info)
+    ohms = Corrector(crossbar).correct(crossbar.fractions(found.counts)[0]).reshape(-1, 4)
+    expected = [A, [0.5, 2.0, 0.0, 0.0], B] if kind == "a clock behind" else [A, B]
+    assert ohms == pytest.approx(np.maximum(expected, 0.5), abs=0.51)  # half a step, where not all are whole
+    assert found.time_s[1] - found.time_s[0] == pytest.approx(second_s, abs=1e-6)
+    assert found.statistics.bad_form == damaged
+    if "." not in text:
+        assert np.array_equal(found.counts, expected)
+
+
+def test_numbers_that_are_not_whole_are_kept_to_a_share_of_the_largest_and_counts_go_through_a_circuit(tmp_path):
+    numbers = np.random.default_rng(0).uniform(0.0, 3e5, (5, 6))
+    np.savetxt(tmp_path / "mat.log", numbers)
+    found = read_recording(tmp_path / "mat.log", matrix_info(2, 3))
+    assert found.counts / 65535 * found.info.sense_ohm == pytest.approx(numbers, abs=3e5 / 2**16)
+    np.savetxt(tmp_path / "mat.log", np.full((5, 1), 341), fmt="%d")
+    found = read_recording(tmp_path / "mat.log", matrix_info(1, 1, bits=10, sense_ohm=1000))
+    crossbar = Electronics(switch_ohm=0.0).crossbar(found.info)
+    assert Corrector(crossbar).correct(crossbar.fractions(found.counts)[0]) == pytest.approx(2000.0, rel=1e-9)
+    for asked, said in (({"rows": 2}, "give rows= and cols="), ({"rows": 1, "cols": 1, "circuit": "divider"}, "bits=")):
+        with pytest.raises(DesignError, match=said):
+            matrix_info(**asked)
+    with pytest.raises(FileFormatError, match="no line of 2 × 2 numbers from 0 on, and no 2 lines of 2: correct rows="):
+        read_recording(tmp_path / "mat.log", matrix_info(2, 2))

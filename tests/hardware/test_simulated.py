@@ -15,7 +15,7 @@ from hardware.link.scanner import Scanner
 from hardware.readout.crossbar import Crossbar
 from hardware.readout.crossbar_readout import shunts_of
 from hardware.virtual import VirtualSensor
-from tests.decoupler.test_sensor_model import RESPONSE, conducted
+from tests.decoupler.synthetic_sensor import RESPONSE, conducted
 
 
 def test_the_script_presses_slides_and_lifts_over_and_over():

@@ -23,7 +23,7 @@ from fem.contact import Capsule, press, surface_compliance
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS, SONG2018, pillar_volumes, rest_lengths
 from hardware.link.frames import ScanMode
-from hardware.readout.crossbar import Corrector, Crossbar
+from hardware.readout.crossbar import SUITED_SENSE_OHM, Corrector, Crossbar
 from hardware.virtual import VirtualSensor
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.test_finite_strain import learned
@@ -86,7 +86,7 @@ def test_it_shows_what_a_dataset_holds_and_decodes_as_the_model_does(response, s
         np.testing.assert_allclose(found, decoder.forces(exact), atol=1e-9 * abs(found).max())
 
 
-@pytest.mark.parametrize("mode", ScanMode)
+@pytest.mark.parametrize("mode", SUITED_SENSE_OHM)
 def test_the_crossbar_reads_and_corrects_as_the_board_does(response, samples, mode):
     exact = samples.resistance_ohm.copy()
     exact[3, 1, 2, 0] = OPEN_OHM
@@ -100,7 +100,7 @@ def test_the_crossbar_reads_and_corrects_as_the_board_does(response, samples, mo
         assert one_count.max() < 0.2  # both correctors end at a fraction of a count
 
 
-@pytest.mark.parametrize("mode", [None, *ScanMode])
+@pytest.mark.parametrize("mode", [None, *SUITED_SENSE_OHM])
 def test_gradients_are_those_of_finite_differences(response, samples, model, mode):
     """From points and forces of contact to decoded newtons, the crossbar's correction included."""
     wired = None if mode is None else replace(crossbar(mode), shunt_siemens=(2e-5, 1e-5, 3e-5))

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import pyvista as pv
+import trimesh
 from PIL import Image
 
 from dataset import read_samples
@@ -55,6 +56,31 @@ def test_finite_strain_says_what_it_did_and_what_is_beyond_linear_strain_or_the_
     assert json.loads(done.stdout)["error_estimate"] == 0.3
     assert "linear elasticity holds for small strains only" in done.stderr
     assert "warning: the estimated error 3.0e-01 stays above the tolerance 0.001" in done.stderr
+
+
+def test_a_tool_is_pressed_by_its_unit_and_turn_and_refused_where_they_are_in_doubt(house):
+    cone = trimesh.creation.cone(8.0, 12.0, sections=24).apply_scale(1 / 25.4)
+    trimesh.Trimesh(cone.vertices, cone.faces[:, ::-1], process=False).export(house.folder / "tool.stl")
+    asked = ("press", "--design", "small.toml", "--depth", "0.3", "--shape")
+    assert "give --unit cm (6.3 mm) or --unit inch (16 mm), or --unit mm" in house.refusal(*asked, "tool.stl")
+    done = house.tripillar(*asked, "tool.stl", "--unit", "inch", "--json")
+    assert "warning: tool.stl: 100% of its underside faces inwards" in done.stderr
+    upright = house.result(*asked, "tool.stl", "--unit", "inch", "--turn", "180,0,30")
+    assert 0 < upright["net_force_n"][2] < 0.05 * json.loads(done.stdout)["net_force_n"][2]
+    told = house.refusal(*asked, "tool.stl", "--unit", "mm", "--scale", "0.1")
+    assert (
+        "deeper than the tool is high, 0.0472 mm: press less deep, or give --unit cm (4.72 mm) or --unit inch" in told
+    )
+    for words, told in (
+        (
+            ("tool.stl", "--radius", "3"),
+            "--radius is not of --shape tool.stl, which takes --turn and --unit and --scale",
+        ),
+        (("tool.stl", "--turn", "1,2"), "--turn 1,2: must be one about z or three angles, such as 180,0,45"),
+        (("flat", "--size", "4", "--turn", "1,2,3"), "--turn 1,2,3: must be one angle, about z"),
+        (("tool.dwg",), "a file that ends in .stl, .obj, .ply, .step, .stp"),
+    ):
+        assert told in house.refusal(*asked, *words)
 
 
 def test_a_shape_is_pressed_dragged_written_and_drawn(house):

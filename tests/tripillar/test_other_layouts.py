@@ -14,11 +14,13 @@ from geometry.design import Array, SensorDesign, Unit
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
 from tripillar.face.caller import Caller, called_by
+from tripillar.sweep.judge import metrics_of
+from tripillar.viewer.page.sensing import inverse_forces
 
 READ = ("--noise", "0.001", "--bits", "12")
 
 
-@pytest.mark.long  # its parts are in tests/decoupler/test_layouts.py
+@pytest.mark.long  # its parts are in tests/decoupler/test_sensor_model.py
 @pytest.mark.parametrize("layout", ["six-pillar", "eight-pillar"])
 def test_a_named_layout_goes_from_data_to_forces(tmp_path, layout):
     """Components are forces, whatever the pillars; models, exports and twins are of that layout."""
@@ -128,3 +130,55 @@ def test_a_bad_layout_is_one_line_and_nothing_is_written(tmp_path, text, said):
     house = House(tmp_path)
     (tmp_path / "bad.toml").write_text('extends = "paper"\n' + text)
     assert said in house.refusal("response", "--design", "bad.toml", "--out", "r.nc")
+
+
+def test_a_mat_that_no_design_describes_is_trained_tared_and_read_from_tables_and_logs(tmp_path):
+    """Conductance follows force, over more than the factor of 4 that a strained pillar has; another day is 20 % off."""
+    house, generator = House(tmp_path), np.random.default_rng(0)
+    newtons = generator.uniform(0.0, 20.0, (240, 2, 2)) * (generator.uniform(size=(240, 2, 2)) < 0.6)
+    newtons[:30] = 0.0
+    ohms = 3e4 * generator.lognormal(0.0, 0.1, (2, 2)) / (1.0 + newtons) * generator.normal(1.0, 1e-3, newtons.shape)
+    for name, part in (("train.csv", slice(200)), ("test.csv", slice(200, None))):
+        rows = np.hstack([each[part].reshape(-1, 4) for each in (ohms, newtons)])
+        header = ",".join(f"{kind}_{row}_{col}" for kind in "rf" for row, col in np.ndindex(2, 2))
+        np.savetxt(tmp_path / name, rows, "%.6g", ",", header=header, comments="")
+    house.result(
+        "train", "--data", "train.csv", "--component", "fz", "--feature", "resistance", "--out", "m.safetensors"
+    )
+    rmse_n = house.result("evaluate", "--model", "m.safetensors", "--data", "test.csv")["fz"]["rmse_n"]
+    for name, factor, part in (
+        ("same.log", 1.0, slice(200, 240)),
+        ("other.log", 1.2, slice(200, 240)),
+        ("rest.log", 1.2, slice(30)),
+    ):
+        shown = np.tile(ohms[part], (2 if name == "rest.log" else 1, 1, 1)).reshape(-1, 4)
+        np.savetxt(tmp_path / name, factor * shown, "%.6g")
+    size = ("--rows", "2", "--cols", "2")
+    house.result("tare", "rest.log", *size, "--seconds", "0.5", "--out", "rest.json")
+
+    def off(name: str, *calibrated: str) -> float:
+        found = house.result("replay", name, "--model", "m.safetensors", *size, *calibrated)
+        assert found["left_out"] == []
+        return float(np.sqrt(np.mean((np.array(found["force_n"])[..., 0] - newtons[200:]) ** 2)))
+
+    assert off("same.log") == pytest.approx(rmse_n, rel=0.01)
+    with (tmp_path / "same.log").open("a") as log:
+        log.write("1 2 3\n")
+    told = house.tripillar("replay", "same.log", "--model", "m.safetensors", *size).stderr
+    assert "1 lines that are no matrix of numbers from 0 on are left out" in told
+    assert off("other.log", "--calibration", "rest.json") == pytest.approx(rmse_n, rel=0.05)
+    assert off("other.log") > 2.0 * rmse_n
+
+
+def test_a_sensor_of_one_axis_is_judged_shown_and_trained_by_pressure_alone(tmp_path):
+    design = SensorDesign(unit=Unit(layout=LAYOUTS["single"]), array=Array(rows=1, cols=2))
+    response = layer_response(design)
+    found = metrics_of(response, 1e-3, 12, 0.3)
+    assert found["error_n"] == found["error_z_n"] < 10.0
+    assert found["error_x_n"] == "pillars do not tell forces along x and y from others"
+    samples = simulate(response, DatasetSettings(protocol="three-axis", samples=40, seed=1, noise=1e-3))
+    told = inverse_forces(response)(samples.resistance_ohm[0])
+    assert np.isnan(told[..., :2]).all()
+    assert np.isfinite(told[..., 2]).all()
+    with called_by(Caller(say=lambda line: None)):
+        assert tp.train(samples, hidden=2, response=response).component.name == "fz"

@@ -91,6 +91,9 @@ def test_dataset_train_evaluate_one_by_one_and_cross_validated(house, monkeypatc
     assert found["fz"]["ratio"] < 1.15  # of the limit: what the project promises
     assert set(found["fz"]["baselines"]) == {"eq. 8, each pillar alone", "least squares on √R"}
     assert "Cramér-Rao" in house.tripillar("evaluate", "--model", "all.safetensors", "--data", "three.nc").stdout
+    exported = house.result("export", "--model", "all.safetensors", "--out", "all.h")
+    assert (exported["precision"], exported["deviation"] < 1e-4) == ("float", True)
+    assert (house.folder / exported["file"]).exists()
     asked = ("--data", TEST, "--component", "fz", "--hidden", "4", "--quiet")
     tested = house.result("evaluate", *asked, "--folds", "4", "--seed", "3")
     assert len(tested["folds"]) == 4

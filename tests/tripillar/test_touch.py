@@ -39,9 +39,9 @@ def house(tmp_path_factory):
         assert PRESSES / 2 < made["presses"] <= PRESSES
         assert made["rows"] > 3 * made["presses"]
         assert house.result(*TRAIN, "small.toml", "-o", "t.safetensors")["reused"]
-        trimesh.creation.capsule(height=9.0, radius=3.0).export(house.folder / "tool.stl")
+        trimesh.creation.capsule(height=9.0, radius=3.0).apply_scale(1e-3).export(house.folder / "tool.stl")
         patch.setattr("decoupler.touch.library.PRESSES", 2)
-        own = house.result(*TRAIN, "small.toml", "--shape", "tool.stl", "-o", "t.safetensors")
+        own = house.result(*TRAIN, "small.toml", "--shape", "tool.stl", "--unit", "m", "-o", "t.safetensors")
         assert 2 < own["presses"] <= 5
     house.result(*INDENT, "--design", "small.toml", *READ, "indent.nc")
     return house
@@ -93,6 +93,8 @@ def test_what_a_decoder_of_touch_cannot_is_refused_and_one_of_pads_says_that_con
     (house.folder / "text.stl").write_text("no solid")
     for words, told in (
         (("export", "--model", "touch.safetensors", "-o", "m.h"), "is a decoder of touch: export takes a model of"),
+        (("train", "--touch", "--shape", "tool.stl", "-o", "n.safetensors"), "give --unit m (15 mm)"),
+        (("train", "--touch", "--turn", "90", "-o", "n.safetensors"), "--turn, --unit and --scale are of tools"),
         (("train", "--touch", "--shape", "text.stl", "-o", "n.safetensors"), "holds no triangles"),
         (("train", "--data", "indent.nc", "--shape", "tool.stl", "-o", "n.safetensors"), "is of decoders of touch"),
         (("train", "--data", "indent.nc", "-o", "n.safetensors"), "'tripillar train --touch' decodes these"),

@@ -12,7 +12,7 @@ from common.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage
-from tripillar.face.inputs import BOARD, WIRES, File, Flag, ModelLike, job, model_of, to_write
+from tripillar.face.inputs import BOARD, LINES, WIRES, File, Flag, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import STREAMS, AskedStreams
 
 SHORT = 10_000  #: frames of a recording whose forces take a second or a few
@@ -223,13 +223,14 @@ def replay(
     out: File | None = None,
     ros2: bool = False,
     crosstalk: Annotated[bool, Flag(negative=("--no-crosstalk",))] = True,
+    **log: Annotated[Any, LINES],
 ) -> "stages.Forces | None":
     """Turn a recording into forces, or watch it again.
 
     Parameters
     ----------
     recording : path
-        Recording (.frames), or a board's bytes.
+        Recording (.frames), a board's bytes, or a log of plain numbers.
     model : Decoupler or path
         Model file, trained for this array.
     calibration : path, optional
@@ -245,6 +246,8 @@ def replay(
         Write messages of ROS 2 into the .mcap file, in place of JSON.
     crosstalk : bool
         Correct the crossbar's crosstalk.
+    **log
+        Fields of `inputs.Board` that say what a log of plain numbers is.
 
     Returns
     -------
@@ -275,9 +278,9 @@ def replay(
             raise DesignError(f"speed={speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
         if out is not None or not crosstalk:
             raise DesignError("speed= only shows forces: leave out= and crosstalk=False out, or leave speed= itself.")
-    decoupler, recorded = model_of(model), stages.read_recording(source)
+    decoupler, recorded = model_of(model), stages.read_recording(source, stages.matrix_info(**LINES.of(log)))
     if speed is not None:
-        with stages.live(str(source), decoupler, calibration, speed, rubber) as sensor:
+        with stages.live(str(source), decoupler, calibration, speed, rubber, **log) as sensor:
             (stages.print_lines if caller.as_json else stages.show_forces)(sensor, math.inf)
         return None
     own = None if calibration is None else stages.read_calibration(Path(calibration))

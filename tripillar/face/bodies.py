@@ -19,7 +19,7 @@ from tripillar.face.inputs import DesignLike, File, Flag, SceneLike, design_of, 
 
 READY = Path(__file__).parents[1] / "ready"  #: designs that searches found, each with its command and what it feels
 Purpose = Literal["finger", "foot", "seat"]
-LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four"]
+LayoutName = Literal["song2018", "six-pillar", "eight-pillar", "upright-four", "single"]
 
 
 @job(out="")

@@ -116,6 +116,8 @@ def damage(path: Path, recorded: "stages.Recording") -> str:
     if (more := len(recorded.damaged_at) - MAX_NAMED) > 0:
         found.append(f"{more} more places")
     ends = "its last frame is cut off" if recorded.truncated_bytes else ""
+    if recorded.received_s is None and not found and (lines := recorded.statistics.bad_form):
+        ends = f"{lines} lines that are no matrix of numbers from 0 on are left out"
     said = "; ".join(part for part in (f"damaged at {', '.join(found)}, left out" if found else "", ends) if part)
     return f"warning: {path}: {said}" if said else ""
 

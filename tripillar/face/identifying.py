@@ -12,6 +12,7 @@ from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
     BARE_BOARD,
+    LINES,
     WIRES,
     DesignLike,
     File,
@@ -163,7 +164,7 @@ def identify(
         if Path(port).is_file():
             if keep is not None:
                 raise DesignError("keep= is for a board: pairs of a recording are kept already.")
-            measured, serial = stages.measured_in_recording(*board, force)
+            measured, serial = stages.measured_in_recording(*board, force, **LINES.of(more))
         else:
             beside = None if path is None or as_designed else path.with_suffix(".csv")
             kept = beside if keep is None else Path(keep)

@@ -84,6 +84,11 @@ class Board:
     calibration: File | None = quantity(None, "calibration file of this sensor; default: as designed, switches of 25 Ω")
     baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
     timeout: float = quantity(4.0, "time to wait for the board's answer [s]")
+    rows: int | None = quantity(None, "rows of a board or log that sends plain lines of numbers, one a unit")
+    cols: int | None = quantity(None, "columns of that board or log")
+    bits: int | None = quantity(None, "bits of the converter whose counts these are; default: readings as they are")
+    circuit: Circuit | None = quantity(None, "circuit before that converter; default: divider")
+    sense_ohm: float | None = quantity(None, "sense or feedback resistor of that circuit [Ω]; default: 10000")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +117,8 @@ def imperfections(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 BOARD, WIRES = Options(Board), Options(Wires)
-BARE_BOARD = Options(Board, "baud", "timeout")  #: of a board whose calibration is yet to be found
+LINES = Options(Board, "rows", "cols", "bits", "circuit", "sense_ohm")  #: of a log of plain numbers
+BARE_BOARD = Options(Board, "baud", "timeout", *LINES.names)  #: of a board whose calibration is yet to be found
 
 
 def options_of(parameter: inspect.Parameter) -> list[Options]:

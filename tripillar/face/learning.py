@@ -11,7 +11,8 @@ import numpy as np
 from common.errors import DesignError, require_type
 from decoupler.model.settings import Feature, Net, Trainer
 from geometry.design import SensorDesign
-from geometry.layout import require_told, told_by_tilt
+from geometry.design import Unit as PillarUnit
+from geometry.layout import require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -27,6 +28,7 @@ from tripillar.face.inputs import (
     name_of,
     samples_of,
 )  # fmt: skip
+from tripillar.face.pressing import Turn, Unit, read_tool
 
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -38,6 +40,7 @@ else:
 Component = Literal["fz", "fx", "fy", "all"]
 GOAL = Flag(name=("--goal",))
 ITERATIONS = Flag(name=("--iterations",))
+AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
@@ -63,6 +66,9 @@ def train(
     *,
     touch: bool = False,
     shape: list[File] | None = None,
+    turn_deg: Turn = None,
+    unit: Unit | None = None,
+    scale: float | None = None,
     out: Annotated[File | None, Flag(required=True)] = None,
     net: Net = "skip",
     hidden: int = 17,
@@ -84,13 +90,19 @@ def train(
         Data set to train on, not with touch; several of one sensor, linear and at finite strain, count as one. Leave
         samples for tests out; of more than 20,000 a random draw is learned from.
     component : str, optional
-        Forces that the network tells, along one axis or all; default: those that act.
+        Forces that the network tells, along one axis or all; default: those that act, fz if pillars tell no others.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
         solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
         plates, 10 seconds.
     shape : list of path, optional
-        STL files of tools that press: a decoder of touches knows them as well.
+        Files of tools that press, as of 'press': a decoder of touches knows them as well.
+    turn_deg : float or str, optional
+        Angle of the tools about z, or X,Y,Z about x, y and z [degrees].
+    unit : str, optional
+        Unit of their files' numbers.
+    scale : float, optional
+        How many times as large as in their files they are.
     out : path, optional
         Model file to write (.safetensors).
     net : str
@@ -146,10 +158,12 @@ def train(
     True
     """
     caller, path = current(), None if out is None else Path(out)
+    if not (shape or turn_deg is unit is scale is None):
+        raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, shape or ())
+        return _touch_decoder(design, path, shape or (), turn_deg, unit, scale)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
@@ -165,7 +179,7 @@ def train(
         caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
-    model, seconds = replace(model, made_from=model.made_from | forced), caller.bars.seconds()
+    model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(few)), caller.bars.seconds()
     if path is not None:
         stages.write_model(model, path)
     _mention_untrusted(model)
@@ -293,7 +307,9 @@ def _cross_validated(
     return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
 
 
-def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence[File]) -> "stages.TouchDecoder":
+def _touch_decoder(
+    source: DesignLike | None, out: Path | None, shapes: Sequence[File], *tool: Any
+) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
     is_plated = design.pad.kind == "stiff"
@@ -308,7 +324,9 @@ def _touch_decoder(source: DesignLike | None, out: Path | None, shapes: Sequence
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
-    solids = [stages.read_solid(Path(shape)) for shape in shapes]
+    solids = [read_tool(shape, *tool) for shape in shapes]
+    for note in (note for solid in solids for note in solid.notes):
+        caller.say(f"warning: {note}")
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
     pillars = stages.Pillars.designed(design)
     if twin is not None:
@@ -357,6 +375,14 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
 
 
+def _at_rest(samples: "stages.Samples") -> dict[str, Any]:
+    """Resistances of samples without a load, where no design says what the sensor shows at rest."""
+    largest_n = np.abs(samples.force_n).max(axis=(1, 2, 3))
+    idle = largest_n <= AT_REST * largest_n.max()
+    is_known = samples.design is not None or not idle.any()
+    return {} if is_known else {"rest_ohm": np.median(samples.resistance_ohm[idle], axis=0).tolist()}
+
+
 def _mention_untrusted(model: "stages.Decoupler") -> None:
     """Name the forces that dead pillars leave unsure; JSON has them already, and who has the model can ask it."""
     for row, col, name in model.untrusted() if current().is_typed and not current().as_json else []:
@@ -379,19 +405,21 @@ def _checked(
     design = None if stated is None else design_of(stated)
     network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
     named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
+    if component is None and named == "all" and untold(PillarUnit(layout=samples.layout)):
+        named = "fz"
     parts = stages.component_named(named)
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
     if not is_stated and _fits(SensorDesign(), samples):
         sensor = SensorDesign()
+    require_told(PillarUnit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
-        require_told(sensor.unit, parts.axes)
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if feature == "inverse" or (is_automatic and net != "plain"):
         solved = _response(samples, name, sensor, response)
-    network = stages.suited(samples, named, network, None, solved).form
+    _, network, _, _ = stages.suited(samples, named, network, None, solved)
     chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
         note = "the response of the design does not explain these data: inputs are √R"
@@ -410,7 +438,7 @@ def _checked(
 
 
 def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:
-    return samples.shape == (design.array.rows, design.array.cols)
+    return (*samples.shape, samples.layout) == (design.array.rows, design.array.cols, design.unit.layout)
 
 
 def _response(

@@ -14,6 +14,7 @@ from decoupler.data.load_table import KnownLoad, as_pairs, keep_pair, read_loads
 from decoupler.data.pairs import Pairs
 from geometry.design import SensorDesign
 from hardware.link.frames import Info
+from hardware.link.lines import matrix_info
 from hardware.readout.averaging import averaged, movement
 from hardware.readout.calibration import Electronics
 from hardware.readout.crossbar import Crossbar
@@ -61,12 +62,12 @@ def measured_live(
 
 
 def measured_in_recording(
-    path: str, loads: Path | None, design: SensorDesign, electronics: Electronics, force: bool = False
+    path: str, loads: Path | None, design: SensorDesign, electronics: Electronics, force: bool = False, **log: Any
 ) -> tuple[Pairs, int]:
     """Find the loads of a table in a recording, by their times since its first frame."""
     if loads is None:
         raise FileFormatError("a recording needs loads= with the columns from_s and to_s.")
-    recording = read_recording(Path(path))
+    recording = read_recording(Path(path), matrix_info(**log))
     info = recording.info
     _require_design(design, info)
     crossbar = electronics.crossbar(info)

@@ -2,7 +2,7 @@
 
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from tripillar.face.inputs import DesignLike, File, design_of, job
 if TYPE_CHECKING:
     Indenter = stages.Shape | File
     Pair = tuple[float, float] | str
+    Turn = float | tuple[float, float, float] | str | None
 else:
-    Indenter = Pair = str
+    Indenter = Pair = Turn = str
 
+Unit = Literal["mm", "cm", "m", "inch"]
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 USUAL_DEPTH = 0.05  #: of the slab's height
 #: at a fifth to a third of the height, from `studies.bench.peers.finite_contact`
@@ -39,7 +41,9 @@ def press(
     radius_mm: float | None = None,
     size_mm: Pair | None = None,
     length_mm: float | None = None,
-    turn_deg: float | None = None,
+    turn_deg: Turn = None,
+    unit: Unit | None = None,
+    scale: float | None = None,
     at_mm: Pair = "0,0",
     slide_mm: Pair = "0,0",
     friction: float = 0.0,
@@ -57,7 +61,7 @@ def press(
     design : SensorDesign or path, optional
         Design file (TOML); default: the paper's sensor.
     shape : str or Shape
-        Indenter: sphere, cylinder, flat, or an STL file.
+        Indenter: sphere, cylinder, flat, or a file of a closed surface: STL, OBJ, PLY or STEP.
     depth_mm : float, optional
         Depth of its lowest point below the top at rest [mm]; default: a twentieth of the slab's height.
     radius_mm : float, optional
@@ -66,8 +70,12 @@ def press(
         Sides SIDE or SIDE,SIDE of a flat punch along x and y [mm].
     length_mm : float, optional
         Length of a cylinder [mm]; default: endless.
-    turn_deg : float, optional
-        Angle of a cylinder's axis, or of a flat punch, from x towards y [degrees].
+    turn_deg : float or str, optional
+        Angle of a cylinder, flat punch or tool about z, from x towards y; or X,Y,Z of a tool about x, y, z [degrees].
+    unit : str, optional
+        Unit of a file's numbers; default: mm, if that makes a tool of a usual size; STEP states its own.
+    scale : float, optional
+        How many times as large as in its file a tool is.
     at_mm : str or tuple of float
         Place X,Y of its middle [mm]; the array's is 0,0.
     slide_mm : str or tuple of float
@@ -97,11 +105,12 @@ def press(
     """
     caller, sensor = current(), design_of(design)
     depth_mm = USUAL_DEPTH * sensor.unit.height_mm if depth_mm is None else depth_mm
-    sizes = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm, "turn_deg": turn_deg}
+    sizes: dict[str, Any] = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm}
+    sizes |= {"turn_deg": turn_deg, "unit": unit, "scale": scale}
     indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
     begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
     contact = stages.press(
-        sensor, indenter, depth_mm, at_mm=_pair("at_mm", at_mm), slide_mm=_pair("slide_mm", slide_mm),
+        sensor, indenter, depth_mm, at_mm=_numbers("at_mm", at_mm), slide_mm=_numbers("slide_mm", slide_mm),
         friction=friction, progress=lambda step: begin()(0, step),
     )  # fmt: skip
     model, least_mm = sensor.matrix_material.model, stages.LARGE_SHARE * sensor.unit.height_mm
@@ -116,8 +125,8 @@ def press(
     if picture is not None:
         stages.draw_contact(contact, Path(picture))
     caller.answer(lambda: _as_plain(contact, strain), lambda: [stages.contact_table(contact, strain)], out, picture)
-    if warning is not None:
-        caller.say(f"warning: {warning}")
+    for note in (*getattr(indenter, "notes", ()), *([warning] if warning else [])):
+        caller.say(f"warning: {note}")
     if is_linear and contact.steepness > MAX_STEEPNESS:
         caller.say(
             f"warning: it goes {contact.steepness:.2g} times half the contact's width deep: linear strain ends near "
@@ -157,31 +166,42 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
     if not isinstance(shape, Path | str):
         return shape
     kind = str(shape)
-    is_solid = kind.lower().endswith(".stl")
-    if not is_solid and kind not in SIZES:
-        raise DesignError(f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in .stl.")
-    takes = () if is_solid else SIZES[kind]
+    is_file = kind.lower().endswith(stages.TOOL_FILES)
+    if not is_file and kind not in SIZES:
+        raise DesignError(
+            f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in {', '.join(stages.TOOL_FILES)}."
+        )
+    takes = ("turn_deg", "unit", "scale") if is_file else SIZES[kind]
     if surplus := [size for size in given if size not in takes]:
         listed = " and ".join(f"{size}=" for size in takes) or "no sizes"
         raise DesignError(f"{surplus[0]}= is not of shape={kind}, which takes {listed}.")
-    if is_solid:
-        return stages.read_solid(Path(kind))
+    if is_file:
+        return read_tool(kind, **given)
     if kind == "flat" and ("radius_mm" in given) == ("size_mm" in given):
         raise DesignError("shape=flat needs radius_mm= (a disc) or size_mm= (a rectangle): give one of them.")
     if kind != "flat" and "radius_mm" not in given:
         raise DesignError(f"shape={kind} needs radius_mm= too.")
-    turn = stages.about_z(given.pop("turn_deg", 0.0))
+    (angle,) = _numbers("turn_deg", given.pop("turn_deg", 0.0), "one angle, about z")
+    turn = stages.about_z(angle)
     if kind == "flat" and "size_mm" in given:
-        return stages.Flat(_pair("size_mm", given["size_mm"], alone=True), turn=turn)
+        return stages.Flat(_numbers("size_mm", given["size_mm"], alone="{0},{0}"), turn=turn)
     return {"sphere": stages.Sphere, "cylinder": stages.Cylinder, "flat": stages.Flat}[kind](**given, turn=turn)
 
 
-def _pair(name: str, given: "Pair", alone: bool = False) -> tuple[float, float]:
-    """Numbers along x and y; one that may stand alone is both."""
-    if not isinstance(given, str):
+def read_tool(path: File, turn_deg: Turn = None, unit: str | None = None, scale: float | None = None) -> "stages.Solid":
+    """The indenter of a file."""
+    turned = _numbers("turn_deg", turn_deg or 0.0, "one about z or three angles, such as 180,0,45", "0,0,{}")
+    return stages.read_solid(Path(path), unit, 1.0 if scale is None else scale, turned)
+
+
+def _numbers(name: str, given: Any, like: str = "two numbers, such as 7.5,-3", alone: str = "") -> Any:
+    """As many numbers as a text of examples has commas; what one that stands alone means has its place {}."""
+    if not isinstance(given, str | int | float):
         return given
     try:
-        x, y = map(float, given.split(",") * (2 if alone and "," not in given else 1))
+        found = tuple(map(float, (alone.format(given) if alone and "," not in str(given) else str(given)).split(",")))
     except ValueError:
-        raise DesignError(f"{name}={given}: must be two numbers, such as 7.5,-3.") from None
-    return x, y
+        found = ()
+    if len(found) != like.count(","):
+        raise DesignError(f"{name}={given}: must be {like}.")
+    return found

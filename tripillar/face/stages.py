@@ -62,8 +62,9 @@ if TYPE_CHECKING:
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
     from fem.array.solving import ResponseSettings
     from fem.contact import (
-        Contact, Cylinder, Flat, Shape, Sphere, about_z, at_finite_strain, judge, press, read_solid, why_tangent,
+        Contact, Cylinder, Flat, Shape, Solid, Sphere, about_z, at_finite_strain, judge, press, read_solid, why_tangent,
     )  # fmt: skip
+    from fem.contact.shapes import TOOL_FILES
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.kernel.newton import Stopped
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
     from hardware.boards.sensor_header import sensor_header
     from hardware.boards.python_board import NO_TERMINALS
     from hardware.link.frames import Info
+    from hardware.link.lines import matrix_info
     from hardware.link.reception import LinkStatistics
     from hardware.link.serial_ports import require_symlink, symlinked
     from hardware.readout.averaging import averaged, require_still
@@ -122,7 +124,7 @@ if TYPE_CHECKING:
     from tripillar.sweep.run import judge_all, kept_rows
     from tripillar.sweep.sampling import samples_of as samples_of_sweep
     from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, untold
+    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, told, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.page import Subject

@@ -112,7 +112,7 @@ def sweep(
     rows = [found[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
     stages.write_parquet(rows, asked.metrics, files[0])
-    if not all(row.failed for row in rows):
+    if stages.told(rows, asked):
         files.append(folder / f"{source.stem}-pareto.png")
         stages.draw_pareto(rows, asked, files[1])
     failed = stages.reasons(rows)

@@ -81,7 +81,7 @@ def compare(
         decouplers[HOOKE] = partial(hooke_forces, design=test.design, component=component)
     decouplers[LINEAR] = least_squares.forces
     decouplers |= {label: model.forces for label, model in models.items()}
-    read_ohm = READ.apply(test.resistance_ohm, np.random.default_rng(0))
+    read_ohm = READ.apply(test.resistance_ohm, np.random.default_rng(0), layout=test.layout)
     errors, as_read = (
         {label: component_errors(forces(ohm), test, component)[name] for label, forces in decouplers.items()}
         for ohm in (test.resistance_ohm, read_ohm)

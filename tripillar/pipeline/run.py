@@ -27,6 +27,7 @@ from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import check_unit
 from geometry.design import SensorDesign
 from geometry.design_file import design_to_toml
+from geometry.layout import untold
 from geometry.mould import write_cad
 from tripillar.pipeline.comparison import Comparison, compare
 from tripillar.pipeline.manufactured import SETTINGS, as_made
@@ -34,7 +35,7 @@ from tripillar.pipeline.stage import Stage, respond
 from tripillar.terminal.progress import Bars
 
 CAD_METHOD = 1  #: raise when the same design gives other CAD files
-#: protocols of the table, each with the force component that it loads
+#: protocols of the table, each with the force component that it loads; of a design those that its pillars tell
 STUDIED = {"contact-fz": "fz", "contact-fx": "fx", "independent-fz": "fz", "independent-fx": "fx"}
 SPLITS = {"train": (2000, 1), "test": (200, 2)}  #: samples and seed, as many as the paper's
 CAP = 0.3  #: largest pillar strain, the paper's wider one
@@ -83,7 +84,7 @@ def run_pipeline(design: SensorDesign, out: Path, bars: Bars, until_dataset: boo
     stages.append(replace(stage, name="as made"))
     sensitivities, _, _ = response_sensitivities(design)
     comparisons = []
-    for protocol in STUDIED:
+    for protocol in models:
         paths = (_dataset_path(out, protocol, split) for split in SPLITS)
         training, test = (in_memory(read_samples(path, labels_only=True)) for path in paths)
         comparisons.append(compare(protocol, training, test, models[protocol], response, sensitivities, truth))
@@ -130,9 +131,10 @@ def compare_unit(design: SensorDesign, bars: Bars) -> Stage:
 
 def make_datasets(response: ArrayResponse, out: Path, bars: Bars) -> Stage:
     """Simulate the training and the test samples of every studied protocol."""
-    advance = bars.begin("datasets", total=len(STUDIED) * sum(samples for samples, _ in SPLITS.values()))
+    studied = _studied(response.design)
+    advance = bars.begin("datasets", total=len(studied) * sum(samples for samples, _ in SPLITS.values()))
     files, reused, made = [], True, 0
-    for protocol in STUDIED:
+    for protocol in studied:
         for split, (samples, seed) in SPLITS.items():
             settings = DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=CAP)
             path = _dataset_path(out, protocol, split)
@@ -150,8 +152,9 @@ def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stag
     """Train every network of the table on every studied protocol."""
     models: dict[str, dict[str, Decoupler]] = {}
     files, all_reused = [], True
-    advance = bars.begin("networks", total=len(STUDIED) * len(NETWORKS))
-    for protocol, component in STUDIED.items():
+    studied = _studied(response.design)
+    advance = bars.begin("networks", total=len(studied) * len(NETWORKS))
+    for protocol, component in studied.items():
         data = in_memory(read_samples(_dataset_path(out, protocol, "train"), labels_only=True))
         models[protocol] = {}
         for name, (network, training) in NETWORKS.items():
@@ -164,6 +167,10 @@ def train_networks(response: ArrayResponse, out: Path, bars: Bars) -> tuple[Stag
             advance(1, "reused" if reused else "")
     stage = Stage(name="networks", seconds=bars.seconds(), reused=all_reused, files=tuple(files))
     return stage, models
+
+
+def _studied(design: SensorDesign) -> dict[str, str]:
+    return {name: each for name, each in STUDIED.items() if not untold(design.unit, component_named(each).axes)}
 
 
 def trained(

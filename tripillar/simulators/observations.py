@@ -47,7 +47,7 @@ class _Touch:
             axes = sensor.forces(rest_ohm).shape[-1]  # refuses a sensor without a model
             self._space = spaces.Box(-MAX_N, MAX_N, (*sensor.shape, axes), np.float32)
         else:
-            self._space = spaces.Box(0.0, OPEN_OHM, (*sensor.shape, 3), np.float32)
+            self._space = spaces.Box(0.0, OPEN_OHM, (*sensor.shape, len(sensor.design.unit.layout.pillars)), np.float32)
 
     def space_with(self, space: spaces.Space) -> spaces.Dict:
         """The space of what one environment and its sensor tell."""

@@ -4,6 +4,7 @@ Every pillar is judged by the force along which it leans, its own; an upright on
 equations are in docs/results.md.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import astuple, fields, replace
 from time import perf_counter
@@ -25,7 +26,7 @@ from fem.array.solving import ResponseSettings, array_response
 from geometry.castability import Castability, castability, conductive_mm3
 from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
-from geometry.layout import AXES, FloatArray, pillar_vectors, require_told
+from geometry.layout import AXES, FloatArray, pillar_vectors, untold
 from geometry.wiring import wires
 from hardware.boards.sensor_header import fastest_hz
 from tripillar.sweep.rows import DISTANCES, Row
@@ -83,7 +84,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     one, everywhere = largest_pressures(response, cap)
     range_n = bearable_mpa(response, cap) * design.pad.size_mm**2
     return {
-        **known(ERRORS, lambda: errors_of(response, forward, noise, bits, cap, range_n)),
+        **known(ERRORS, lambda: errors_of(response, noise, bits, cap, range_n)),
         "range_n": range_n,
         "pressure_one_mpa": one,
         "pressure_all_mpa": everywhere,
@@ -103,7 +104,7 @@ def metrics_of(response: ArrayResponse, noise: float, bits: int | None, cap: flo
     }
 
 
-def known(names: Iterable[str], found: Callable[[], Iterable[float]]) -> Judged:
+def known(names: Iterable[str], found: Callable[[], Iterable[float | str]]) -> Judged:
     """Numbers by their names, or for each of these why they are not known."""
     try:
         return dict(zip(names, found(), strict=True))
@@ -112,16 +113,21 @@ def known(names: Iterable[str], found: Callable[[], Iterable[float]]) -> Judged:
 
 
 def errors_of(
-    response: ArrayResponse, forward: SensorModel, noise: float, bits: int | None, cap: float, range_n: float
-) -> Iterator[float]:
-    """Errors of pad loads and the condition number; `DesignError` if the layout tells no loads."""
-    require_told(response.design.unit)
+    response: ArrayResponse, noise: float, bits: int | None, cap: float, range_n: float
+) -> Iterator[float | str]:
+    """Errors of pad loads and the condition number, of pressure alone where no more is told."""
+    said = " and ".join(untold(response.design.unit))
+    parts = component_named("fz" if said else "all")
+    forward = SensorModel.of(response, parts)
     force_n, _ = loads_at_cap(response, cap, LOADS, SEED)
     reading, array = ReadingError(noise=noise, bits=bits), response.design.array
-    force_n = force_columns(force_n, component_named("all"))
+    force_n = force_columns(force_n, parts)
     errors = noise_limited_errors(forward, force_n, reading, (array.rows, array.cols))
     error = float(np.sqrt((errors**2).mean()))
-    yield from (error, 100 * error / range_n, *map(float, errors), float(np.linalg.cond(relative_slopes(forward))))
+    by_axis: dict[str, float | str] = dict(zip(parts.axes, map(float, errors), strict=True))
+    yield from (error, 100 * error / range_n)
+    yield from (by_axis.get(axis, f"pillars do not tell forces along {said} from others") for axis in AXES)
+    yield float(np.linalg.cond(relative_slopes(forward)))
 
 
 def made_of(design: SensorDesign) -> Judged:
@@ -187,12 +193,12 @@ def crosstalk(G: FloatArray, design: SensorDesign) -> FloatArray:
 def noise_limited_errors(
     forward: SensorModel, force_n: FloatArray, errors: ReadingError, shape: tuple[int, int]
 ) -> FloatArray:
-    """Least error of an unbiased estimate of each force component, root mean square over units and loads, (3,) [N].
+    """Least error of an unbiased estimate of each force component, root mean square over units and loads, (k,) [N].
 
     `force_n` has shape (n, n_forces). The bound is that of Cramér and Rao, a load at a time: that bounds memory.
     """
     bounds = [cramer_rao(forward, force_n[k : k + 1], errors, shape) for k in range(len(force_n))]
-    return np.sqrt((np.concatenate(bounds).reshape(-1, len(AXES)) ** 2).mean(axis=0))
+    return np.sqrt((np.concatenate(bounds).reshape(len(force_n) * math.prod(shape), -1) ** 2).mean(axis=0))
 
 
 def loads_at_cap(response: ArrayResponse, cap: float, n: int, seed: int) -> tuple[FloatArray, FloatArray]:

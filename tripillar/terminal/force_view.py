@@ -76,7 +76,8 @@ def live_view(
         f"{stats.overruns_said}  {stats.dropped} dropped  {stats.reconnects} reconnects"
     )
     number = "Fz" if "z" in axes else "shear"
-    head = Text(f"{number} [N], arrows: shear; {full_scale_n:.3g} N is brightest", style="dim")
+    arrows = "" if axes == ("z",) else ", arrows: shear"
+    head = Text(f"{number} [N]{arrows}; {full_scale_n:.3g} N is brightest", style="dim")
     pressed = Text(f"centre of pressure {_centre(wrench)}{unsure}")
     lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums)]
     remembered = [] if scan.memory_rise is None else [memory_line(scan)]

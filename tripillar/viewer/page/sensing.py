@@ -26,7 +26,7 @@ from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.decoder import Decoder
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
-from geometry.layout import AXES, FloatArray
+from geometry.layout import FloatArray, untold
 from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import OF_MOMENTS, on_all_axes
@@ -97,17 +97,22 @@ def net_forces(model: Decoder) -> Decouple:
 
 
 def inverse_forces(response: ArrayResponse) -> Decouple:
-    """The forces of the response's own inverse, where there is no trained model."""
-    design, joint = response.design, component_named("all")
+    """The forces of the response's own inverse, where there is no trained model; pressure alone if no more is told."""
+    design, told = response.design, component_named("fz" if untold(response.design.unit) else "all")
     generator, ranges = np.random.default_rng(0), loads_of(response)
     drawn = [PROTOCOLS[name].draw(generator, LOADS, design, ranges) for name in ("contact", "three-axis")]
     loads = np.concatenate(drawn)
     within = largest_factors(displacements(response, loads), design.unit, MAX_STRAIN)
     loads *= np.minimum(within, 1.0)[:, None, None]  # a pillar that turns over cannot be inverted
-    force_n = force_columns(by_unit(forces(loads, design), design), joint)
-    forward = SensorModel.of(response, joint)
+    force_n = force_columns(by_unit(forces(loads, design), design), told)
+    forward = SensorModel.of(response, told)
     inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
-    return lambda resistance_ohm: by_unit(inverse.values(resistance_ohm.reshape(1, -1)).reshape(-1, len(AXES)), design)
+
+    def decoupled(resistance_ohm: FloatArray) -> FloatArray:
+        force_n = inverse.values(resistance_ohm.reshape(1, -1)).reshape(design.n_units, -1)
+        return on_all_axes(by_unit(force_n, design), told.axes)
+
+    return decoupled
 
 
 def by_unit(values: FloatArray, design: SensorDesign) -> FloatArray:
