@@ -18,7 +18,7 @@ LOOKED_AT, ABOVE = 1 << 20, 100  #: bytes that are looked at, and lines in which
 ENCODINGS = ("utf-8-sig", "gb2312", "latin-1")  #: the first that a table is text in
 MEND = "give a CSV table"
 NUMBER = re.compile(r"[-+\u2212]?[\d.,][\d.,'\s]*(?:[eE][-+]?\d+)?\s*[A-Za-z%]*")  #: whatever its marks, and its unit
-MARKED = re.compile(r"""["'\u2212]|\d[ \xa0\u202f]\d""")  #: what may be in numbers between commas
+MARKS = "\"' \u2212\xa0\u202f"  #: what may be in numbers between commas
 GROUPED = re.compile(r"\D?[1-9]\d{0,2}(?:,\d{3})+\D*")  #: which may be one of thousands
 UNIT = re.compile(r"[\[(]?([mµun]?s|min|h|[kmc]?m|mm/mm|%|-|[kmM]?N|k?g|[kKM]?(?:[oO]hm|[\u03a9\u2126]))[\])]?")
 
@@ -65,19 +65,19 @@ def form_of(path: Path, is_known: Callable[[str], object]) -> Form:
     return Form(encoding, lines[at][0], found[at], at + 1 + bool(units), units)
 
 
-def read_table(path: Path, form: Form, most: int, mend: str) -> list[tuple[int, list[str]]]:
-    """Numbers and cells of the lines of a table but empty ones, at most so many; numbers are plain: 1234.5."""
+def read_table(path: Path, form: Form, most: int, mend: str) -> dict[int, list[str]]:
+    """Cells of the lines of a table but empty ones by their numbers, at most so many; numbers are plain: 1234.5."""
     require_memory(20 * path.stat().st_size, f"{path}: its lines", mend)
     _, text = _text(path, [form.encoding])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=form.separator, skipinitialspace=True)
     try:
-        rows = counted(reader, most + form.above, path, mend)
-        lines = [(reader.line_num, row) for row in rows if any(row) and reader.line_num > form.above]
+        rows = list(counted(reader, most + form.above, path, mend))
     except csv.Error as error:
         raise FileFormatError(f"{path}, line {reader.line_num}: {error}: {MEND}.") from None
-    if form.separator == "," and not MARKED.search(text):
+    lines = {number: row for number, row in enumerate(rows, start=1) if number > form.above and any(row)}
+    if form.separator == "," and not any(mark in text for mark in MARKS):
         return lines  # as nearly all are
-    numbers = [cell for _, row in lines for cell in row if NUMBER.fullmatch(cell)]
+    numbers = [cell for row in lines.values() for cell in row if NUMBER.fullmatch(cell)]
     commas = [cell for cell in numbers if "," in cell]
     has_points = any("," not in cell and cell.count(".") == 1 for cell in numbers)
     is_grouped = has_points or (form.separator == "," and all(map(GROUPED.fullmatch, commas)))
@@ -90,4 +90,4 @@ def read_table(path: Path, form: Form, most: int, mend: str) -> list[tuple[int, 
         cell = between.sub(lambda mark: "-" * (mark[0] == "\u2212"), cell)
         return cell.replace(",", ".") if is_comma else cell
 
-    return [(number, [*map(plain, row)]) for number, row in lines]
+    return {number: [*map(plain, row)] for number, row in lines.items()}

@@ -99,7 +99,7 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
         table = pd.read_csv(path, header=None, names=range(len(header)), index_col=False, **options)
         if any(table.dtypes[there[name]].kind not in "iuf" for name in expected):  # marks of thousands, and the like
             lines = read_table(path, form, 1 << 40, "give fewer")
-            table = pd.DataFrame([cells[: len(header)] for _, cells in lines]).replace("", np.nan)
+            table = pd.DataFrame([cells[: len(header)] for cells in lines.values()]).replace("", np.nan)
         table = table.set_axis(header, axis=1)[expected].dropna(how="all")
         arrays = {
             name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)

@@ -109,7 +109,7 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
             f"{readings[0]} to {readings[-1]}{spare}; it has {', '.join(header[:12]) if lines else 'no lines'}."
         )
     grouped: dict[str, list[tuple[int, Mapping[str, str]]]] = {}
-    for number, cells in lines:
+    for number, cells in lines.items():
         names = form.header + [""] * (len(cells) - len(form.header))
         if any(cell.strip() for name, cell in zip(names, cells, strict=False) if not name):
             raise FileFormatError(f"{path}, line {number}: has more values than the header has columns.")

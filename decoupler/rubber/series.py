@@ -144,7 +144,7 @@ def _columns(path: Path, named: Mapping[str, str]) -> tuple[dict[str, str], dict
     if wrong := [name for name in named if name not in known]:
         raise FileFormatError(f"columns={wrong[0]}=... names no quantity; there are {', '.join(known)}.")
     form = form_of(path, {*known, *named.values()}.__contains__)
-    lines = read_table(path, form, MOST_ROWS, "give fewer, such as every tenth")
+    lines = read_table(path, form, MOST_ROWS, "give fewer, such as every tenth").values()
     header, found, table = form.header, {}, {}
     for quantity, units in COLUMNS.items():
         names = {unit: named.get(unit, unit) for unit in units}
@@ -157,7 +157,10 @@ def _columns(path: Path, named: Mapping[str, str]) -> tuple[dict[str, str], dict
                     f"{path}: the line of units says {said} of {names[unit]}: name it columns={other}={names[unit]}."
                 )
             found[quantity] = unit
-            table[quantity] = units[unit] * np.array([_number(cells, place) for _, cells in lines])
+            try:
+                table[quantity] = units[unit] * np.array([float(cells[place]) for cells in lines])
+            except (ValueError, IndexError):
+                table[quantity] = units[unit] * np.array([_number(cells, place) for cells in lines])
         elif quantity not in BESIDE:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "
