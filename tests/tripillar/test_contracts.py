@@ -227,6 +227,7 @@ cad --out cad --design data.nc -> data.nc: not a text file
 solve small.toml -> the table [body] is missing
 solve idle.toml --json --vtu never.vtu -> add a [[probe]]
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
+response --out r.csv --design small.toml -> --out r.csv must be a file that ends in .nc
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
 press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
 dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
