@@ -29,7 +29,7 @@ def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, floa
     is_open = crossbar.as_pillars(np.any(counts == 0, axis=0, keepdims=True))[0]
     is_short = crossbar.as_pillars(np.any(is_bound, axis=0, keepdims=True))[0] & ~is_open
     if is_open.all():
-        raise FileFormatError("every pillar reads 0, as if open: connect the sensor, and choose a larger sense resistor.")
+        raise FileFormatError("every pillar reads 0, as if open: connect the sensor, or take a larger sense resistor.")
     if is_short.any():
         row, col, pillar = np.argwhere(is_short)[0]
         raise FileFormatError(
