@@ -76,9 +76,7 @@ class Layout:
     def __post_init__(self) -> None:
         for kind, count in (("electrodes", len(self.upper) + len(self.lower)), ("pillars", len(self.pillars))):
             if count > MAX_PARTS:
-                raise DesignError(
-                    f"{count} {kind} in a unit, at most {MAX_PARTS}: give fewer, and more rows and cols of units."
-                )
+                raise DesignError(f"a unit has more than {MAX_PARTS} {kind}: give fewer, and more rows or cols.")
         wires = [one.wire for one in (*self.upper, *self.lower) if one.wire is not None]
         ends = [end for one in self.pillars for end in (one.foot, one.top)]
         for name in (*self.terminals, *wires, *self.pillar_names, *ends):

@@ -9,6 +9,8 @@ from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, Flag, job
 
+LONG = 5_000_000  #: bytes of a series that takes more than a second to read
+
 
 @job(out=".toml", next_test=".csv", picture=".png")
 def rubber(
@@ -81,10 +83,10 @@ def rubber(
         stages.write_test(Path(str(next_test)), None)
         caller.answer(lambda: {"file": str(next_test)}, "", next_test)
         return None
-    advance = caller.bars.begin("rubber", total=2)
-    advance(0, "series")
+    if Path(data).stat().st_size > LONG:
+        caller.bars.begin("series", total=1)
     series = stages.read_series(Path(data), _named(columns), length_mm, force)
-    advance(1, f"fit of {len(series):,} rows" if check is None else "check")
+    caller.bars.begin("rubber", total=1)(0, f"{len(series):,} rows")
     for note in series.notes:
         caller.say(f"warning: {data}: {note}")
     if picture is not None and series.resistance_ohm is None:
