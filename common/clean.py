@@ -7,6 +7,7 @@ import logging
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,10 +72,10 @@ def read_table(path: Path, form: Form, most: int, mend: str) -> dict[int, list[s
     _, text = _text(path, [form.encoding])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=form.separator, skipinitialspace=True)
     try:
-        rows = list(counted(reader, most + form.above, path, mend))
+        rows = list(counted(islice(reader, form.above, None), most, path, mend))
     except csv.Error as error:
         raise FileFormatError(f"{path}, line {reader.line_num}: {error}: {MEND}.") from None
-    lines = {number: row for number, row in enumerate(rows, start=1) if number > form.above and any(row)}
+    lines = {number: row for number, row in enumerate(rows, start=form.above + 1) if any(row)}
     if form.separator == "," and not any(mark in text for mark in MARKS):
         return lines  # as nearly all are
     numbers = [cell for row in lines.values() for cell in row if NUMBER.fullmatch(cell)]
