@@ -96,10 +96,13 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     try:
         decimal = "," if form.separator == ";" else "."
         options = {"sep": form.separator, "decimal": decimal, "encoding": form.encoding, "skiprows": form.above}
-        table = pd.read_csv(path, header=None, names=range(len(header)), index_col=False, **options)
+        table = pd.read_csv(path, header=None, names=range(len(header)), **options)
+        if not isinstance(table.index, pd.RangeIndex):
+            raise ValueError("rows have more values than the header has columns")
         if any(table.dtypes[there[name]].kind not in "iuf" for name in expected):  # marks of thousands, and the like
             lines = read_table(path, form, 1 << 40, "give fewer")
-            table = pd.DataFrame([cells[: len(header)] for cells in lines.values()]).replace("", np.nan)
+            filled = [(cells + [""] * len(header))[: len(header)] for cells in lines.values()]
+            table = pd.DataFrame(filled).replace("", np.nan)
         table = table.set_axis(header, axis=1)[expected].dropna(how="all")
         arrays = {
             name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)
@@ -109,7 +112,7 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
         raise FileFormatError(f"{path}: has no rows, expected at least one sample.")
-    if not (arrays["resistance_ohm"] % 1.0).any():
+    if (arrays["resistance_ohm"] == np.floor(arrays["resistance_ohm"])).all():
         arrays["resistance_ohm"] = np.where(arrays["resistance_ohm"] == 0, LEAST_COUNT, arrays["resistance_ohm"])
     return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}, layout
 

@@ -297,6 +297,7 @@ def test_what_is_no_file_of_its_form_is_refused(data, copy, tmp_path):
     for text, said in (
         ("a,b\n1,2\n", "has no column force_0_0_x_n: name columns force_0_0_x_n and resistance_0_0_z_ohm"),
         (f"{names}\n1,2,3,4,5,x\n", "give numbers alone, a row a sample"),
+        (f"{names}\n" + "1,5,2,3,4,5,6,7\n" * 3, "rows have more values than the header has columns"),
         (f"{names}\n1,2,3,4,5,\n", "resistance_ohm is nan at sample 0, row 0, col 0, pillar y"),
     ):
         (tmp_path / "a.csv").write_text(text)
