@@ -175,6 +175,8 @@ def train(
     samples, name = _together(sources), name_of(sources[0], "samples")
     few = _enough(samples, seed, name, "train the network")
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
+    if solved is None and samples.design is None and design is None:
+        caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
     model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(few)), caller.bars.seconds()
