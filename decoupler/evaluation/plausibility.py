@@ -1,12 +1,12 @@
 """Checks whether readings and forces can belong together and to their sensor, and names the usual mistakes in files.
 
-The response of the sensor says how lengths follow the forces. A data set is doubted if it fits that decidedly better
-after one of `MISTAKES` is taken back, or if the readings fit the forces worse than if nothing linked them. Of measured
-`Pairs`, few and each of a load that someone put on, every load has to change its readings as it should.
+A data set is doubted if it fits the sensor's response decidedly better after a mistake is taken back, of `MISTAKES`,
+in the order of pads or pillars, or in the size of forces, of all, an axis, a pad or some samples; or worse than if
+nothing linked readings and forces. Of measured `Pairs` every load has to change its readings as it should.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import permutations
@@ -31,48 +31,46 @@ KILOOHM = (3.0, 30.0)  #: range of readings that are of kΩ: no pillar of a sens
 #: smallest share of the readings' motion that the forces explain once a mistake is taken back: of contacts on bare
 #: rubber, which no pad load explains, 0.3 to 0.6 with and without one
 MIN_EXPLAINED = 0.7
+OWN_EXPLAINED = 0.97  #: the same of a sensor as made, 0.985 and more; with pads of the other kind 0.92 to 0.95
 EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over that of one step
 KGF_N = 9.80665  #: weight of a kilogram
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
 MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
 
+#: (unsure, sure): what the readings say of all forces, or of an axis', over what is stated; as made 0.76 to 1.33
+OF_AXES = (1.38, 1.6)
+OF_PAD = 1.2  #: the same of one pad beside the others, as made 0.95 to 1.08
+MAX_PADS = 64  #: pads that are looked at one by one
+PROBE_N = 1.0  #: change of forces by which the model is differentiated
+ROUNDS = 5  #: of a search for multiples
+NOISE_TIMES = 1.5  #: the stated noise; what leaves less of the readings needs no mending
+TARE = (0.03, 0.15, 5.0)  #: of what is added to all Fz: least pull and least size, over their mean; standard errors
+#: newtons of what may have been written for one
+UNITS = {"kN": 1e3, "mN": 1e-3, "grams": 1e-3 * KGF_N, "kgf": KGF_N, "taken for kgf": 1 / KGF_N, "lbf": 4.44822}
+UNITS |= {"ounces": 0.278014, "halved": 2.0, "doubled": 0.5}
+NOT_LINKED = (
+    "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
+    "load"
+)
 Turn = Callable[[FloatArray], FloatArray]  #: of forces (n, rows, cols, 3), which takes a mistake back
 
-_SIGNS = "z > 0 is compression, x runs along columns, y along rows"
-MISTAKES: dict[str, Turn] = {
-    "the forces seem to be in kN: multiply them by 1000": lambda F: F * 1e3,
-    "the forces seem to be in mN: divide them by 1000": lambda F: F * 1e-3,
-    "the forces seem to be in kgf: multiply them by 9.81, unless the rubber is a tenth as stiff": lambda F: F * KGF_N,
-    "the forces seem to be taken for kgf: divide them by 9.81, unless the rubber is ten times as stiff": (
-        lambda F: F / KGF_N
-    ),
-    f"all forces seem to have the other sign: {_SIGNS}": lambda F: -F,
-    f"Fz seems to have the other sign: {_SIGNS}": lambda F: F * [1.0, 1.0, -1.0],
-    f"Fx seems to have the other sign: {_SIGNS}": lambda F: F * [-1.0, 1.0, 1.0],
-    f"Fy seems to have the other sign: {_SIGNS}": lambda F: F * [1.0, -1.0, 1.0],
-    "rows and columns of the forces seem to be exchanged: rows run along y": lambda F: F.swapaxes(1, 2),
-    "rows of the forces seem to stand in reverse order: they begin at −y": lambda F: F[:, ::-1],
-    "columns of the forces seem to stand in reverse order: they begin at −x": lambda F: F[:, :, ::-1],
-    **{
-        f"axes seem to stand in the order {', '.join(AXES[order.index(k)] for k in range(3))}: a file's are "
-        f"{', '.join(AXES)}": partial(np.take, indices=order, axis=-1)
-        for order in [*permutations(range(3))][1:]
-    },
+PLACES: dict[str, Turn] = {  #: of pads, in forces or in readings as well
+    "rows and columns of the {} seem to be exchanged: rows run along y": lambda F: F.swapaxes(1, 2),
+    "rows of the {} seem to stand in reverse order: they begin at −y": lambda F: F[:, ::-1],
+    "columns of the {} seem to stand in reverse order: they begin at −x": lambda F: F[:, :, ::-1],
+}
+MISTAKES: dict[str, Turn] = {said.format("forces"): turn for said, turn in PLACES.items()} | {
+    f"axes seem to stand in the order {', '.join(AXES[order.index(k)] for k in range(3))}: a file's are "
+    f"{', '.join(AXES)}": partial(np.take, indices=order, axis=-1)
+    for order in [*permutations(range(3))][1:]
 }
 
 
 def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | None) -> str | None:
     """Name the likely mistake in samples and how to mend it, in a line; None if there seems to be none.
 
-    Parameters
-    ----------
-    data : Samples or Pairs
-        Pairs need the joint sensor and its component, `all`.
-    component : Component
-        Whose pillars and forces are looked at.
-    forward : SensorModel, optional
-        Of the sensor that the data are said to be of: joint (`all`), or of the component's own pillars and forces.
-        Without it only contacts, forces that are constant and kΩ are noticed.
+    The model is of the sensor that the data are said to be of: joint (`all`), as pairs need, or of the component's own
+    pillars and forces. Without it only contacts, forces that are constant and kΩ are noticed.
 
     Notes
     -----
@@ -97,23 +95,30 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
         return None
     times = float(np.median(columns) / np.median(forward.at_rest_ohm()))
     if round(math.log10(times) / 3):
-        return (
-            f"the resistances are {times:.2g} times the design's: give them in Ω, or the design the resistivity_ohm_mm "
-            "of this rubber"
-        )
-    return _mistaken(_Fit(data, component, forward))
+        return f"the resistances are {times:.2g} times the design's: give them in Ω, or it the right resistivity_ohm_mm"
+    return _mistaken(_Fit.of_all(data, component, forward))
+
+
+def suspicion(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
+    """Say in a line what looks wrong in samples that are not doubted, though a sensor may read so; None if nothing."""
+    fit = None if forward is None else _Fit.of_all(_some(data, component), component, forward)
+    if fit is None or fit.explained is None:
+        return None
+    said = fit.of_axes(OF_AXES[0])
+    if (share := (fit.scaled if said else fit).explained or 0.0) < OWN_EXPLAINED:
+        more = f"{OWN_EXPLAINED:.0%} and more: are they of another? So read large strains, and contacts ('--touch')"
+        return f"the design's response explains {max(share, 0.0):.0%} of these readings, of its own sensor's {more}"
+    return said or fit.of_tare()
 
 
 def nothing_to_learn(data: Samples, component: Component) -> str | None:
     """Say in a line that all samples are contacts, the same, or of the same load; None if they differ."""
     if said := _of_contacts(data):
         return said
-    if len(data.force_n) < 2:
-        return None
     own = Columns.of(data, component)
-    if _is_constant(own.force_n):
+    if len(own) > 1 and _is_constant(own.force_n):
         return f"{_alike(own.force_n)}: nothing can be learnt"
-    is_constant = _is_constant(own.resistance_ohm)
+    is_constant = len(own) > 1 and _is_constant(own.resistance_ohm)
     return "every resistance is the same in all samples: nothing can be learnt" if is_constant else None
 
 
@@ -125,27 +130,16 @@ def disturbance(data: Samples, component: Component, forward: SensorModel | None
     acting = [axis for axis in AXES if axis not in component.axes and data.force_n[..., AXES.index(axis)].any()]
     if not acting:
         return None
-    share = ""
-    if forward is not None:
-        by_all = _Fit(_some(data, component), component, forward)
+    share, by_all = "", None if forward is None else _Fit(_some(data, component), component, forward)
+    if by_all is not None and by_all.is_joint:
         by_own = by_all.turned(lambda F: F * [float(axis in component.axes) for axis in AXES])
         if not by_all.log_likelier(by_own) > math.log(1.0 / FALSE_ALARMS):
             return None
         share = f" ({1.0 - by_all.energy / by_own.energy:.0%} of what {component.name} leaves unexplained is theirs)"
     tells_all = data.design is None or not untold(data.design.unit)
     mend = "use the component 'all'" if tells_all else "take samples without them, or a layout that tells them"
-    return (
-        f"forces along {' and '.join(acting)} act as well and move the same pillars{share}: they become errors of "
-        f"{component.name}; {mend}"
-    )
-
-
-def explained(data: Samples, component: Component, forward: SensorModel) -> float | None:
-    """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it.
-
-    Of a sensor with another pad, pitch or rubber than the model's it is well below 1, and nothing else may show that.
-    """
-    return _Fit(_some(data, component), component, forward).explained
+    said = f"forces along {' and '.join(acting)} act as well and move the same pillars{share}"
+    return f"{said}: they become errors of {component.name}; {mend}"
 
 
 def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str | None:
@@ -194,9 +188,8 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
 
 def _of_contacts(data: Samples) -> str | None:
     """Say what decodes contacts, if the samples are such."""
-    if data.made_from.get("protocol") != INDENT:
-        return None
-    return f"the protocol '{INDENT}' presses shapes, no loads on pads: 'tripillar train --touch' decodes these"
+    said = f"the protocol '{INDENT}' presses shapes, no loads on pads: 'tripillar train --touch' decodes these"
+    return said if data.made_from.get("protocol") == INDENT else None
 
 
 def _some(data: Samples, component: Component) -> Samples:
@@ -213,11 +206,22 @@ class _Fit:
     component: Component
     forward: SensorModel
 
-    def turned(self, turn: Turn) -> "_Fit":
-        """The same under other forces; as it is if the array is not square, or if no sensor bears such."""
-        force_n = turn(self.data.force_n)
-        possible = force_n.shape == self.data.force_n.shape and np.abs(force_n).max() <= MAX_N
-        return replace(self, data=replace(self.data, force_n=force_n)) if possible else self
+    @classmethod
+    def of_all(cls, data: Samples, component: Component, forward: SensorModel) -> "_Fit":
+        """Of all pillars that move, where the model is joint: those that the component does not take tell more."""
+        fit = cls(data, component, forward)
+        still = ~(np.ptp(data.resistance_ohm, axis=0) > 0)
+        still[..., component.pillars(data.layout)] = False
+        dead = still if data.dead is None else still | data.dead
+        return replace(fit, data=replace(data, dead=dead), component=COMPONENTS["all"] if fit.is_joint else component)
+
+    def turned(self, turn: Turn, place: Turn = lambda R: R) -> "_Fit":
+        """The same under other forces, of readings in other places; as it is if no array or sensor bears such."""
+        data, force_n = self.data, turn(self.data.force_n)
+        if force_n.shape != data.force_n.shape or np.abs(force_n).max() > MAX_N:
+            return self
+        dead = None if data.dead is None else place(data.dead[None].astype(float))[0] > 0.0
+        return replace(self, data=replace(data, force_n=force_n, resistance_ohm=place(data.resistance_ohm), dead=dead))
 
     @property
     def is_joint(self) -> bool:
@@ -234,15 +238,22 @@ class _Fit:
         return _about_mean(np.sqrt(self.own.resistance_ohm)[:, self.own.readable])
 
     @cached_property
+    def labels(self) -> FloatArray:
+        """The forces that the model takes, (n, n_forces) [N]."""
+        return force_columns(self.data.force_n, COMPONENTS["all"]) if self.is_joint else self.own.force_n
+
+    def lengths(self, force_n: FloatArray) -> FloatArray:
+        """Lengths of the readable pillars under such forces, (n, n_readable) [mm]."""
+        lengths = self.forward.lengths(force_n)
+        if self.is_joint:
+            every, pillars = self.data.resistance_ohm.shape[1:], self.component.pillars(self.data.layout)
+            lengths = lengths.reshape(-1, *every)[..., pillars].reshape(len(lengths), -1)
+        return lengths[:, self.own.readable]
+
+    @cached_property
     def left(self) -> FloatArray:
         """What a fit of the forces leaves of these."""
-        if self.is_joint:
-            every, pillars = self.data.resistance_ohm.shape, self.component.pillars(self.data.layout)
-            lengths = self.forward.lengths(force_columns(self.data.force_n, COMPONENTS["all"])).reshape(every)
-            expected = lengths[..., pillars].reshape(len(lengths), -1)
-        else:
-            expected = self.forward.lengths(self.own.force_n)
-        return residuals(self.moved, _about_mean(expected[:, self.own.readable]))
+        return residuals(self.moved, _about_mean(self.lengths(self.labels)))
 
     @cached_property
     def energy(self) -> float:
@@ -250,12 +261,17 @@ class _Fit:
         return float((self.left**2).sum() + self.left.size * (0.5 * MIN_NOISE) ** 2)
 
     @cached_property
-    def explained(self) -> float | None:
-        """As of `explained`."""
+    def noise(self) -> float:
+        """The sum of squares that the stated noise leaves."""
         relative = self.own.errors.total(self.own.resistance_ohm, *self.own.shape) / self.own.resistance_ohm
-        noise = float((0.25 * relative[:, self.own.readable] ** 2).sum())
-        signal = float((self.moved**2).sum()) - noise
-        return 1.0 - max(float((self.left**2).sum()) - noise, 0.0) / signal if signal > noise else None
+        return float((0.25 * relative[:, self.own.readable] ** 2).sum())
+
+    @cached_property
+    def explained(self) -> float | None:
+        """Share of what the readings do beyond their stated noise that the model foretells; None if noise hides it."""
+        signal = float((self.moved**2).sum()) - self.noise
+        left = max(float((self.left**2).sum()) - self.noise, 0.0)
+        return 1.0 - left / signal if signal > self.noise else None
 
     def log_likelier(self, than: "_Fit") -> float:
         """Log likelihood ratio to another explanation of the same readings."""
@@ -266,47 +282,144 @@ class _Fit:
         loads = 1 + max(load_numbers(one.data.force_n).max() for one in (self, than))  # some turn all into one
         return 0.5 * loads * directions * math.log(than.energy / self.energy)
 
+    def multiples(self, groups: FloatArray) -> FloatArray:
+        """Multiples of k groups of forces (k, n_forces) that the readings show, (k,); 1 of groups that do not vary."""
+        change = self.labels - self.labels.mean(axis=0)
+        step = PROBE_N / max(float(np.abs(change).max()), 1e-9)
+        apart = [self.lengths(step * change * group) / self.lengths(-step * change * group) for group in groups]
+        E = (np.log(apart) / (2.0 * step)).reshape(len(groups), -1)
+        G, found = E @ E.T, np.zeros(len(E))
+        tells = np.diag(G) > CONSTANT * np.diag(G).max()
+        to_found = np.linalg.pinv(G[np.ix_(tells, tells)]) @ E[tells]
+        for _ in range(ROUNDS):  # from rest on, where forces of any unit find their size
+            left = self.moved - _about_mean(self.lengths(self.labels * (found @ groups)))
+            found[tells] += to_found @ left.ravel()
+        return np.where(tells, found, 1.0)
+
+    @cached_property
+    def times(self) -> FloatArray:
+        """Multiples of the forces along x, y and z that the readings show, (3,)."""
+        axes, times = AXES if self.is_joint else self.component.axes, np.ones(len(AXES))
+        of_all = self.multiples(np.tile(np.eye(len(axes)), self.labels.shape[1] // len(axes)))
+        times[[axis in axes for axis in AXES]] = of_all
+        return times
+
+    @cached_property
+    def scaled(self) -> "_Fit":
+        """The same under these multiples of its forces."""
+        return self.turned(lambda F: F * self.times)
+
+    def of_axes(self, limit: float) -> str | None:
+        """Name the axes whose forces, or all whose forces, are another multiple than a limit allows."""
+        acts, times = np.ptp(self.data.force_n, axis=(0, 1, 2)) > 0, self.times
+        off = acts & ((times < 1.0 / limit) | (times > limit))
+        if off.sum() == acts.sum() > 0 and np.ptp(times[acts]) < (OF_PAD - 1.0) * np.abs(times[acts]).max():
+            return self.said("all forces", times[acts].mean())
+        return "; ".join(self.said(f"forces along {AXES[k]}", times[k]) for k in np.flatnonzero(off)) or None
+
+    def said(self, what: str, times: float) -> str:
+        """What forces are beside what readings say, `times` as much, and how to mend it."""
+        if times < 0 and 1.0 / OF_AXES[0] < -times < OF_AXES[0]:
+            return f"{what} seem to have the other sign: z > 0 is compression, x runs along columns, y along rows"
+        units = UNITS if self.data.design is None else UNITS | {"MPa": self.data.design.pad.size_mm**2}
+        name = min(units, key=lambda unit: abs(math.log(units[unit] / max(abs(times), CONSTANT))))
+        is_near = 1.0 / OF_PAD < abs(times) / units[name] < OF_PAD
+        by, guess = (math.copysign(units[name], times), f" {name}?") if is_near else (times, "")
+        unless = f", or give the design rubber {1.0 / times:.2g} times as stiff" if what == "all forces" else ""
+        return f"{what} are {1.0 / times:.3g} of what the readings say:{guess} multiply by {by:.4g}{unless}"
+
+    def by_pads(self) -> "dict[str, _Fit]":
+        """Without other multiples of single pads' forces than the others', said."""
+        rows, cols = self.data.shape
+        groups = np.repeat(np.eye(rows * cols), self.labels.shape[1] // (rows * cols), axis=1)
+        times = self.scaled.multiples(groups).reshape(rows, cols, 1)
+        times /= np.median(times)
+        off = (times < 1.0 / OF_PAD) | (times > OF_PAD)
+        said = "; ".join(self.said(f"forces of pad {i}/{j} (row/col)", times[i, j, 0]) for i, j, _ in np.argwhere(off))
+        return {said: self.scaled.turned(lambda F: F * np.where(off, times, 1.0))} if said else {}
+
+    def by_samples(self) -> "dict[str, _Fit]":
+        """Without another multiple of the forces of some samples, which are all alike, said."""
+        rest, lengths = self.lengths(0.0 * self.labels[:1]), np.sqrt(self.own.resistance_ohm[:, self.own.readable])
+        moved = self.lengths(self.labels) / rest - 1.0
+        size, usual, alike = (moved**2).sum(axis=1), 1.0, np.ones(len(moved), dtype=bool)
+        for _ in range(ROUNDS):
+            at_rest = np.median((lengths / (1.0 + usual * moved))[alike], axis=0)
+            times = ((lengths / at_rest - 1.0) * moved).sum(axis=1) / np.maximum(size, CONSTANT)
+            usual = float(np.sort(times)[len(times) // 2])  # of one sample: the mean of two kinds is of neither
+            alike = np.abs(times - usual) <= 0.3 * abs(usual)
+        more = times**2 > np.percentile(times, [2, 98]).prod()
+        if times.min() <= 0.0 or more.all() or not more.any():  # or noise, a sign or rest hides how much
+            return {}
+        ratio = float(np.median(times[more]) / np.median(times[~more]))
+        mended = self.turned(lambda F: F * np.where(more, ratio, 1.0)[:, None, None, None])
+        wrong, by = (more, ratio) if mended.of_axes(OF_AXES[1]) is None else (~more, 1.0 / ratio)
+        said = self.said(f"forces of {wrong.mean():.0%} of the samples", by)
+        return {said: mended.scaled} if ratio > OF_AXES[1] else {}
+
+    def of_tare(self) -> str | None:
+        """Say what was added to all Fz, if it pulls most pads or if pillars are too long for their gains and sizes."""
+        fz, scaled, was_tared = self.data.force_n[..., 2], self.scaled, "was the load cell tared under load?"
+        typical, lowest, highest = np.abs(fz).mean(), np.median(fz.min(axis=0)), np.median(fz.max(axis=0))
+        if lowest < -TARE[0] * typical and not 0.5 < highest / -lowest < 2.0:
+            return f"Fz falls to {lowest:.3g} N on most pads, which pulls them: {was_tared}"
+        if not self.is_joint or len(rest2 := self.forward.rest_mm**2) != len(AXES):
+            return None
+        mean, by = scaled.labels.mean(axis=0)[None], np.tile([0.0, 0.0, PROBE_N], self.labels.shape[1] // 3)
+        less, more = scaled.lengths(mean - by)[0], scaled.lengths(mean + by)[0]
+        measured = self.forward.lengths_of(self.own.resistance_ohm)[:, self.own.readable]
+        apart = np.log(measured / scaled.lengths(scaled.labels)).mean(axis=0)
+        A = np.array([np.ones(len(less)), (rest2[-1] / rest2.sum(axis=0))[self.own.readable], np.log(more / less)]).T
+        told = len(A) > 2 * A.shape[1] and np.linalg.cond(A / np.linalg.norm(A, axis=0)) < 1e3
+        found, variance = np.linalg.lstsq(A, apart)[0], np.linalg.pinv(A.T @ A)[-1, -1] / max(len(A) - A.shape[1], 1)
+        error = math.sqrt(((apart - A @ found) ** 2).sum() * variance)
+        off, least = 2.0 * PROBE_N / self.times[2] * np.array([found[-1], TARE[2] * error])
+        said = f"{-off:.3g} N seem to be added to all Fz, unless pads or rubber differ: {was_tared}"
+        return said if told and abs(off) > max(abs(least), TARE[1] * typical) else None
+
 
 def _mistaken(given: _Fit) -> str | None:
-    """The mistake that explains the data best, if decidedly better than none."""
-    unlinked = given.turned(lambda F: 0.0 * F)
-    n_orders = math.factorial(len(given.data.layout.pillars)) - 1 if given.is_joint else 0
-    others = {said: given.turned(turn) for said, turn in MISTAKES.items()} | (_in_best_order(given) if n_orders else {})
+    """The mistake that explains the data best, if decidedly better than none; none is sought beyond noise."""
+    if (given.left**2).sum() < NOISE_TIMES * given.noise:
+        return None
+    unlinked, n_pads = given.turned(lambda F: 0.0 * F), math.prod(given.data.shape)
+    others = {said: given.turned(turn) for said, turn in MISTAKES.items()}
+    others |= {said.format("readings and forces"): given.turned(turn, turn) for said, turn in PLACES.items()}
+    if said := given.of_axes(OF_AXES[1]):
+        others[said] = given.scaled
+    others |= given.by_samples()
+    kinds, names = [(others, len(others))], given.data.layout.pillar_names  # mended fits, and of how many
+    if given.is_joint:
+        kinds.append((_in_best_order(given, 2, names), math.factorial(len(names))))
+    if 1 < n_pads <= MAX_PADS:
+        names = tuple(f"{row}/{col}" for row, col in np.ndindex(given.data.shape))
+        kinds.append((given.by_pads() | _in_best_order(given, 1, names), math.factorial(n_pads)))
     enough, found = math.log(2.0 / FALSE_ALARMS), {}
-    for said, other in others.items():
-        likelier = min(other.log_likelier(than) for than in (given, unlinked))
-        share = other.explained if likelier > math.log(len(MISTAKES) + n_orders) + enough else 0.0
-        if share is None or share > MIN_EXPLAINED:
-            found[said] = other.energy
-    none = (
-        "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its "
-        "own load"
-    )
-    return min(found, key=found.__getitem__, default=none if unlinked.log_likelier(given) > enough else None)
+    for others, number in kinds:
+        for said, other in others.items():
+            likelier = min(other.log_likelier(than) for than in (given, unlinked))
+            share = other.explained if likelier > math.log(number) + enough else 0.0
+            if share is None or share > MIN_EXPLAINED:
+                found[said] = other.energy
+    return min(found, key=found.__getitem__, default=NOT_LINKED if unlinked.log_likelier(given) > enough else None)
 
 
-def _in_best_order(given: _Fit) -> dict[str, _Fit]:
-    """The order of pillars that explains the readings best, by a joint model; none if it is the stated one."""
+def _in_best_order(given: _Fit, axis: int, names: Sequence[str]) -> dict[str, _Fit]:
+    """The order of pads (axis 1) or pillars (2) that explains the readings best; none if it is the stated one."""
     from scipy.optimize import linear_sum_assignment
 
-    data, names, taken = given.data, given.data.layout.pillar_names, given.component.pillars(given.data.layout)
-    every, shape = Columns.of(data, COMPONENTS["all"]), (len(data), -1, len(names))
-    both = np.sqrt(every.resistance_ohm).reshape(shape), given.forward.lengths(every.force_n).reshape(shape)
-    moved, expected = map(_about_mean, both)
-    read = every.readable.reshape(shape[1:])
-    left = [
-        [(residuals(moved[..., k], expected[..., pillar])[:, read[:, k]] ** 2).sum() for k in range(len(names))]
-        for pillar in taken
-    ]
-    found = dict(zip(taken, linear_sum_assignment(left)[1].tolist(), strict=True))
-    others = (k for k in range(len(names)) if k not in found.values())
-    order = [found[pillar] if pillar in found else next(others) for pillar in range(len(names))]
-    if order == sorted(order):
-        return {}
-    as_read = ", ".join(names[order.index(k)] for k in range(len(names)))
-    dead = None if data.dead is None else data.dead[..., order]
-    mended = replace(given, data=replace(data, resistance_ohm=data.resistance_ohm[..., order], dead=dead))
-    return {f"pillars seem to stand in the order {as_read}: a file's are {', '.join(names)}": mended}
+    readable = given.own.readable
+    pads = readable.reshape(math.prod(given.data.shape), -1)
+    both = np.zeros((2, len(given.data), *pads.shape))
+    both.reshape(*both.shape[:2], -1)[..., readable] = given.moved, _about_mean(given.lengths(given.labels))
+    (moved, expected), told = np.moveaxis(both, axis + 1, 1), np.moveaxis(pads, axis - 1, 0)
+    left = [[(residuals(m, e)[:, t] ** 2).sum() for m, t in zip(moved, told, strict=True)] for e in expected]
+    order = linear_sum_assignment(left)[1].tolist()
+    wrong = [k for k in range(len(names)) if order[k] != k]
+    mended = given.turned(lambda F: F, lambda R: R.reshape(len(R), len(pads), -1).take(order, axis).reshape(R.shape))
+    as_read, meant = (", ".join(names[k] for k in each) for each in ((order.index(k) for k in wrong), wrong))
+    what = "pads" if axis == 1 else "pillars"
+    return {f"{what} seem to stand in the order {as_read}: a file's are {meant}": mended} if wrong else {}
 
 
 def _about_mean(lengths: FloatArray) -> FloatArray:

@@ -86,24 +86,17 @@ def explaining(response: "ArrayResponse | None", data: Columns) -> SensorModel:
             "give the response of this array, or use the feature 'root'."
         )
     lengths = forward.lengths_of(data.resistance_ohm)[:, data.readable]
-    share = _explained(lengths, forward.lengths(data.force_n)[:, data.readable])
+    modelled = forward.lengths(data.force_n)[:, data.readable]
+    mean = modelled.mean(axis=0)  # which each column is given first: its own gain or resistivity is no misfit
+    moved = lengths * (mean / lengths.mean(axis=0)) - mean
+    total = (moved**2).sum()
+    share = float(1.0 - (residuals(moved, modelled - mean) ** 2).sum() / total) if total > 0 else 1.0
     if share < MIN_EXPLAINED:
         raise SampleError(
             f"the response explains {max(share, 0.0):.0%} of the resistances' variance, too little to start from: "
             "use the feature 'root', or the component that holds all loads ('all')."
         )
     return forward
-
-
-def _explained(lengths: FloatArray, modelled: FloatArray) -> float:
-    """Share of the variance of all columns together that a line per column, of a slope in `SLOPES`, explains.
-
-    Each column is first given the mean of the model's: a pillar's own gain, or another resistivity, is no misfit.
-    """
-    lengths = lengths * (modelled.mean(axis=0) / lengths.mean(axis=0))
-    lengths, modelled = lengths - lengths.mean(axis=0), modelled - modelled.mean(axis=0)
-    total = (lengths**2).sum()
-    return float(1.0 - (residuals(lengths, modelled) ** 2).sum() / total) if total > 0 else 1.0
 
 
 def residuals(moved: FloatArray, expected: FloatArray) -> FloatArray:

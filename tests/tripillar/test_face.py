@@ -7,10 +7,12 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import tripillar as tp
 from fem.array.closed_forms import layer_response
+from geometry import Array
 from geometry.design import Pad
 from tests.docs.terminal import ROOT
 
@@ -83,3 +85,20 @@ def test_notebooks_show_what_samples_evaluations_and_designs_are(tmp_path):
     for thing, said in shown:
         for text in (repr(thing), thing._repr_html_()):
             assert (said in text, "array(" in text, len(text) < 8000) == (True, False, True)
+
+
+def test_options_that_data_contradict_or_training_would_ignore_are_refused():
+    """Another design; a network's form where maps are learned; two kinds of samples for one network."""
+    response = layer_response(tp.SensorDesign(array=Array(rows=1, cols=2)))
+    linear = tp.dataset(response, "three-axis", 8, seed=1)
+    finite, mixed = (replace(linear, strain_model=np.minimum(np.arange(8.0) + k, 1.0)) for k in (1, 0))
+    other = replace(response.design, pad=Pad(size_mm=11.0))
+    for data, asked, said in (
+        (linear, {"design": other}, "states another design than design=: leave it out"),
+        (finite, {"hidden": 5}, "is at finite strain, which maps learn: leave hidden=, net= and feature= out"),
+        (finite, {"net": "convolution"}, "which maps learn"),
+        (finite, {"feature": "inverse"}, "which maps learn"),
+        (mixed, {"feature": "root"}, "holds linear samples and others at finite strain: give one kind"),
+    ):
+        with pytest.raises(tp.TriPillarError, match=said):
+            tp.train(data, response=response, **asked)

@@ -25,7 +25,7 @@ from geometry.design import PAD_KINDS, Array, Pad, SensorDesign
 from geometry.layout import electrode_squares, unit_centres
 from studies.pads import with_pad
 from tripillar.face.caller import Caller, called_by
-from tripillar.face.checks import mention_another_sensor
+from tripillar.face.checks import mention
 
 PAIR = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"))
 TRACTION = np.array([[0.2, -0.1, -1.0], [0.0, 0.0, 0.0]])
@@ -106,5 +106,5 @@ def test_models_and_data_of_other_pads_do_not_mix(responses):
         for kind in ("soft", "stiff"):
             assert not said
             pairs = simulate(responses[kind], specimen)
-            mention_another_sensor(pairs, "samples", everything, SensorModel.of(responses["soft"], everything))
+            mention(pairs, "samples", everything, SensorModel.of(responses["soft"], everything), is_known=False)
     assert "are they of another?" in said[0]

@@ -1,19 +1,18 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
+from common.errors import DesignError
 from dataset import SampleError, Samples
 from dataset.samples import AnySamples
 from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.enough import drawn
 from decoupler.data.pairs import Pairs
-from decoupler.evaluation.plausibility import MIN_EXPLAINED, disturbance, doubt, explained
+from decoupler.evaluation.plausibility import disturbance, doubt, suspicion
 from decoupler.inverse.sensor_model import SensorModel
+from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
+from geometry.design import SensorDesign
 from tripillar.face.caller import current
-
-#: share of its pairs that a sensor's own response explains, gains and noise aside: of one that is off by manufacture
-#: 0.998 and more, with pads of the other kind 0.92 to 0.95
-OWN_EXPLAINED = 0.97
 
 
 def joint_model(response: ArrayResponse | None) -> SensorModel | None:
@@ -37,24 +36,37 @@ def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
     return {"forced": doubted}
 
 
-def mention(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
-    """Say which forces the component leaves out although they act, and how many samples are given twice."""
+def require_heeded(data: Samples, name: str, design: SensorDesign | None, maps: bool, form: tuple[object, ...]) -> None:
+    """Refuse another design than the data's, and what training would ignore: a form if it `maps` strain, or strain."""
+    is_finite, mend = data.is_finite, ""
+    if design is not None and data.design not in (None, design):
+        mend = "states another design than design=: leave it out, or give data of that design"
+    elif maps and is_finite.any() and form != (17, "skip", "auto"):
+        mend = "is at finite strain, which maps learn: leave hidden=, net= and feature= out, or give feature='root'"
+    elif not maps and is_finite.any() != is_finite.all():
+        mend = "holds linear samples and others at finite strain: give one kind, or component='all' with a design"
+    if mend:
+        raise DesignError(f"{name} {mend}.")
+
+
+def enough(samples: AnySamples, seed: int, name: str, purpose: str) -> Samples:
+    """The samples, or a draw of those that are too many; says so."""
+    few = drawn(samples, seed)
+    if len(few) < len(samples):
+        current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
+    return few
+
+
+def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, is_known: bool) -> None:
+    """Say what looks wrong unless that `is_known`, which forces the component leaves out, and what is given twice."""
+    if not is_known and (said := suspicion(data, component, forward)):
+        current().say(f"warning: {name}: {said}")
     left_out = disturbance(data, component, forward)
     if left_out is not None:
         current().say(f"{name}: {left_out}")
     repeated = len(data.force_n) - len(Columns.of(data, component).distinct())
     if repeated:
         current().say(f"{name}: {repeated} of {len(data.force_n)} samples repeat an earlier one and count once")
-
-
-def mention_another_sensor(data: Samples, name: str, component: Component, forward: SensorModel | None) -> None:
-    """Say that pairs seem to come from another sensor than the design's, if its response explains too few of them."""
-    share = None if forward is None else explained(data, component, forward)
-    if share is not None and share < OWN_EXPLAINED:
-        current().say(
-            f"{name}: the design's response explains {max(share, 0.0):.0%} of these readings, of its own "
-            f"sensor's {OWN_EXPLAINED:.0%} and more: are they of another?"
-        )
 
 
 def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, response: ArrayResponse | None) -> None:
@@ -67,15 +79,8 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     if "forced" in story:
         current().say(f"warning: {model} was made by force of doubtful samples: {story['forced']}")
     judge = joint_model(response)
-    own = decoupler.inverse.forward if judge is None and decoupler.inverse is not None else judge
+    knows = judge is None or "identified_on" in story  # a model of this very sensor
+    own = decoupler.inverse.forward if knows and decoupler.inverse is not None else judge
     few = drawn(data)
-    doubted = doubt(few, component, own)
-    if doubted is not None:
-        current().say(f"warning: {name}: {doubted}")
-    mention(few, name, component, judge)
-    share = None if own is None or doubted is not None else explained(few, component, own)
-    if share is not None and share < MIN_EXPLAINED:
-        current().say(
-            f"warning: {name}: loads on pads explain {max(share, 0.0):.0%} of these readings, so errors of {model} are "
-            "large; contacts want a decoder of 'tripillar train --touch'"
-        )
+    forced = heed(doubt(few, component, own), name, force=True)
+    mention(few, name, component, own, bool(forced) or isinstance(decoupler, DecouplerAtStrain))

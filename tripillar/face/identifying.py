@@ -320,8 +320,7 @@ def _checked_pairs(
     component = stages.component_named(stages.acting_component(pairs.force_n))
     judge = stages.joint_model(response)
     forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
-    stages.mention(pairs, name, component, judge)
-    stages.mention_another_sensor(pairs, name, component, judge)
+    stages.mention(pairs, name, component, judge, bool(forced or pairs.is_finite.any()))
     own = stages.SensorModel.of(response, component)
     columns = stages.without_stuck(stages.Columns.of(pairs, component), own)
     return stages.Pairs.of(replace(pairs, dead=columns.dead)[columns.distinct()]), forced

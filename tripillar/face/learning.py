@@ -173,7 +173,7 @@ def train(
     )
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     samples, name = _together(sources), name_of(sources[0], "samples")
-    few = _enough(samples, seed, name, "train the network")
+    few = stages.enough(samples, seed, name, "train the network")
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
     if solved is None and samples.design is None and design is None:
         caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
@@ -295,7 +295,7 @@ def _cross_validated(
     of_training = ("trainer", "goal_mse", "max_iterations", "seed")
     training = stages.TrainingConfig(**{key: asked[key] for key in of_training}, **asked["settings"])
     stages.split_folds(min(len(samples), stages.ENOUGH), folds, training.seed)  # refuses too many before anything
-    few = _enough(samples, training.seed, name, "are split")
+    few = stages.enough(samples, training.seed, name, "are split")
     of_network = ("component", "net", "hidden", "feature", "design", "response", "force")
     parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
     advance = current().bars.begin(f"{folds} folds", total=folds)
@@ -389,14 +389,6 @@ def _mention_untrusted(model: "stages.Decoupler") -> None:
         current().say(f"{name} of the unit in row {row}, col {col} cannot be trusted")
 
 
-def _enough(samples: "stages.AnySamples", seed: int, name: str, purpose: str) -> "stages.Samples":
-    """The samples, or a draw of those that are too many; says so."""
-    few = stages.drawn(samples, seed)
-    if len(few) < len(samples):
-        current().say(f"{name}: {len(few):,} of {len(samples):,} samples, drawn at random, {purpose}")
-    return few
-
-
 def _checked(
     samples: "stages.Samples", name: str, component: Component | None, net: Net, hidden: int, feature: Feature,
     stated: "DesignLike | None", response: "stages.ArrayResponse | None", force: bool,
@@ -419,9 +411,11 @@ def _checked(
     note, solved = "", None
     if feature == "inverse" or (is_automatic and net != "plain"):
         solved = _response(samples, name, sensor, response)
+    is_finite = samples.is_finite.any()
+    stages.require_heeded(samples, name, design, named == "all" and solved is not None, (hidden, net, feature))
     _, network, _, _ = stages.suited(samples, named, network, None, solved)
     chosen = network.feature
-    if is_automatic and chosen == "root" and solved is not None and not samples.is_finite.any():
+    if is_automatic and chosen == "root" and solved is not None and not is_finite:
         note = "the response of the design does not explain these data: inputs are √R"
     if is_automatic and chosen == "inverse" and samples.design is None and response is None:
         which = "the paper's sensor" if design is None else "the given design"
@@ -433,7 +427,7 @@ def _checked(
     judge = stages.joint_model(judging)
     forced |= stages.heed(None if forced else stages.doubt(samples, parts, judge), name, force)
     current().say(note)
-    stages.mention(samples, name, parts, judge)
+    stages.mention(samples, name, parts, judge, bool(forced or is_finite))
     return named, network, solved, forced
 
 
