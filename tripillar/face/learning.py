@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from common.errors import DesignError, require_type
+from common.errors import DesignError
 from decoupler.model.settings import Feature, Net, Trainer
 from geometry.design import SensorDesign
 from geometry.design import Unit as PillarUnit
