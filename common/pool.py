@@ -302,10 +302,20 @@ def _connected(scheduler: str) -> Iterator[Pool]:
     from distributed.scheduler import KilledWorker
     from distributed.utils import silence_logging_cmgr
 
+    answer: Future[Any] = Future()
+
+    def connect() -> None:
+        try:
+            answer.set_result(Client(scheduler, timeout=CONNECT_S))
+        except Exception as error:
+            answer.set_exception(error)
+
     try:
-        client = Client(scheduler, timeout=CONNECT_S)
+        Thread(target=connect, daemon=True).start()  # Dask waits for ever for the greeting of a port that says nothing
+        client = answer.result(CONNECT_S)
     except (OSError, ValueError, TypeError) as error:  # TypeError: no certificates for tls://
-        raise DesignError(f"no scheduler at {scheduler} ({error}): start one by 'dask scheduler'.") from None
+        said = str(error) or f"nothing said in {CONNECT_S} s"
+        raise DesignError(f"no scheduler at {scheduler} ({said}): start one by 'dask scheduler'.") from None
     with silence_logging_cmgr(logging.CRITICAL), client:  # a lost scheduler is one line, not its traceback
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)

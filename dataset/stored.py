@@ -1,7 +1,8 @@
 """Samples on disk: NetCDF and CSV files are read whole, zarr directories leaf by leaf as they are used."""
 
-import tomllib
+import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,13 +10,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from common.bounded import require_memory
 from common.errors import DesignError, FileFormatError, TriPillarError
 from common.storage.files import digest
 from common.storage.netcdf import Content, Named, labelled, read_netcdf
 from common.storage.seal import say_made_anew
+from common.storage.text_file import require_bounded, tables_of
 from dataset.imperfections import stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
-from dataset.samples import AnySamples, Choice, SampleError, Samples
+from dataset.samples import WHOLE_FILE, AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
 from dataset.variables import LABELS, TIMED, VARIABLES, labels_of, layout_of, senseless
 from geometry.design import SensorDesign
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
 AnyContent = TypeVar("AnyContent", Content, "xr.Dataset")  #: of a file, or lazily of a directory
 
 MADE_BY = "tripillar dataset"
-IN_MEMORY = 0.7  #: largest part of the free memory that samples may take
 
 
 class StoredSamples(AnySamples):
@@ -140,19 +142,13 @@ class StoredSamples(AnySamples):
 
 
 def in_memory(samples: AnySamples) -> Samples:
-    """All samples in memory; a `SampleError` if they take more than `IN_MEMORY` of the memory that is free."""
+    """All samples in memory; a `SampleError` if they take more than the memory that is free, as `require_memory`."""
     if isinstance(samples, Samples):
         return samples
     assert isinstance(samples, StoredSamples)
-    import psutil
-
     needed = 2 * sum(8 * values.size for values in samples._data.data_vars.values())  # with a copy of what is used
-    free = psutil.virtual_memory().available
-    if needed > IN_MEMORY * free:
-        raise SampleError(
-            f"{samples.path}: {len(samples)} samples take {needed / 1e9:.1f} GB of memory here, {free / 1e9:.1f} GB "
-            "are free: give fewer, or what reads them in parts."
-        )
+    mend = "give fewer, or what reads them in parts"
+    require_memory(needed, f"{samples.path}: {len(samples)} samples", mend, SampleError)
     return samples[:]
 
 
@@ -185,7 +181,10 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     _require_sound(path, arrays, described["layout"])
     samples = Samples(**arrays, time_s=time_s, **described)
     if attributes.get("content_hash", samples.content_hash) != samples.content_hash:
-        raise FileFormatError(_changed(path))
+        said = "%s: its numbers are no longer those of its attribute 'content_hash': changed by others, read as is."
+        logging.getLogger("tripillar").warning(said, path)
+        kept = {name: value for name, value in samples.made_from.items() if name not in WHOLE_FILE}
+        return replace(samples, made_from=kept)
     return samples
 
 
@@ -262,7 +261,7 @@ def _described(
     path: Path, attributes: Mapping[str, Any], rows: int, cols: int, pillars: Sequence[str]
 ) -> dict[str, Any]:
     """Design, layout, measurement and origin of samples, by their names in `Samples`; of pillars of these names."""
-    design = _stated_design(attributes.get("design"))
+    design = _stated_design(path, attributes.get("design"))
     if design is not None and (rows, cols) != (design.array.rows, design.array.cols):
         raise FileFormatError(
             f"{path}: holds {rows} × {cols} units, its attribute 'design' says "
@@ -281,12 +280,15 @@ def _described(
     }
 
 
-def _stated_design(text: object) -> SensorDesign | None:
+def _stated_design(path: Path, text: object) -> SensorDesign | None:
     """The design of a file's attribute; None where other hands describe the sensor in other words, or not at all."""
+    if not isinstance(text, str):
+        return None
+    require_bounded(text, f"{path}: its attribute 'design'", FileFormatError)
     try:
-        table = tomllib.loads(text) if isinstance(text, str) else {}
+        table = tables_of(text, path, DesignError)
         return design_from_dict(table) if table else None
-    except (tomllib.TOMLDecodeError, DesignError):
+    except DesignError:
         return None
 
 

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
+from common.bounded import require_memory
+from common.clean import Form, form_of, read_table
 from common.errors import FileFormatError
 from common.storage.files import replacing
-from common.storage.text_file import why_unreadable
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
+from geometry.design import MAX_UNITS
 from geometry.layout import AXES, FloatArray, Layout
 
 COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
 SHORT = {r"f_(\d+)_(\d+)": r"force_\1_\2_z_n", r"r_(\d+)_(\d+)": r"resistance_\1_\2_z_ohm"}  #: of sensors of one axis
+KNOWN = re.compile("|".join((COLUMN.pattern, *SHORT)))
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar; or f_0_0 and r_0_0"
 LEAST_COUNT = 0.5  #: that a whole number of 0 stands for among readings that are counts
 
@@ -73,21 +76,34 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     """
     import pandas as pd
 
-    header, separator = _header_of(path)
+    path = Path(path)
+    form = _form_of(path)
+    require_memory(2 * path.stat().st_size, f"{path}: its samples", "give fewer, or a NetCDF file")
+    header = form.header
     places = [place for place in map(COLUMN.fullmatch, header) if place]
-    units = [(int(place[1]), int(place[2])) for place in places]
+    units = [(int(place[1][:9]), int(place[2][:9])) for place in places]
     layout = layout_of({place[3] for place in places if place[4] == "ohm"})
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
+    if max(rows, cols) > MAX_UNITS:
+        raise FileFormatError(f"{path}: names {rows} × {cols} units, at most {MAX_UNITS} each way: mend its header.")
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
     axes = {f"{place[3]}_n" for place in places if place[4] == "n"} or {f"{axis}_n" for axis in AXES}
     expected = [name for name in chain(*of_each) if name.endswith(("_ohm", *axes))]
-    missing = [name for name in expected if name not in header]
-    if missing:
+    there = {name: at for at, name in enumerate(header)}
+    if missing := next((name for name in expected if name not in there), ""):
         size = f" of {rows} × {cols} units" if units else ""
-        raise FileFormatError(f"{path}: has no column {missing[0]}{size}: {NAMES}.")
+        raise FileFormatError(f"{path}: has no column {missing}{size}: {NAMES}.")
     try:
-        decimal = "," if separator == ";" else "."
-        table = pd.read_csv(path, sep=separator, decimal=decimal, header=0, names=header, encoding="utf-8-sig")
+        decimal = "," if form.separator == ";" else "."
+        options = {"sep": form.separator, "decimal": decimal, "encoding": form.encoding, "skiprows": form.above}
+        table = pd.read_csv(path, header=None, names=range(len(header)), **options)
+        if not isinstance(table.index, pd.RangeIndex):
+            raise ValueError("rows have more values than the header has columns")
+        if any(table.dtypes[there[name]].kind not in "iuf" for name in expected):  # marks of thousands, and the like
+            lines = read_table(path, form, 1 << 40, "give fewer")
+            filled = [(cells + [""] * len(header))[: len(header)] for cells in lines.values()]
+            table = pd.DataFrame(filled).replace("", np.nan)
+        table = table.set_axis(header, axis=1)[expected].dropna(how="all")
         arrays = {
             name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)
             for name, names in zip(LABELS, of_each, strict=True)
@@ -96,25 +112,20 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
         raise FileFormatError(f"{path}: {str(error).splitlines()[0]}: give numbers alone, a row a sample.") from None
     if table.empty:
         raise FileFormatError(f"{path}: has no rows, expected at least one sample.")
-    if not (arrays["resistance_ohm"] % 1.0).any():
+    if (arrays["resistance_ohm"] == np.floor(arrays["resistance_ohm"])).all():
         arrays["resistance_ohm"] = np.where(arrays["resistance_ohm"] == 0, LEAST_COUNT, arrays["resistance_ohm"])
     return {name: values.reshape(len(table), rows, cols, -1) for name, values in arrays.items()}, layout
 
 
 def holds_samples(path: Path) -> bool:
     """Whether a file is a CSV table of samples, by the names of its columns."""
-    return Path(path).suffix == ".csv" and any(COLUMN.fullmatch(name) for name in _header_of(path)[0])
+    return Path(path).suffix == ".csv" and any(map(COLUMN.fullmatch, _form_of(Path(path)).header))
 
 
-def _header_of(path: Path) -> tuple[list[str], str]:
-    """Names of a table's columns, and what stands between them: a comma, a semicolon or a tab."""
-    try:
-        with Path(path).open(encoding="utf-8-sig") as opened:
-            line = opened.readline().rstrip("\r\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
-    separator = max(",;\t", key=line.count)
-    names = [name.strip().strip('"') for name in line.split(separator)]
+def _form_of(path: Path) -> Form:
+    """How a table is written, with the long names of its columns."""
+    form = form_of(path, KNOWN.fullmatch)
+    names = form.header
     for short, long in SHORT.items():
         names = [re.sub(f"^{short}$", long, name) for name in names]
-    return names, separator
+    return form._replace(header=names)

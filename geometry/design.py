@@ -3,13 +3,16 @@
 Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design, ...)``.
 """
 
+import math
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from html import escape
 from typing import ClassVar, Self
 
 from common.errors import DesignError
 from common.quantity import OPTIONAL, Sound, positive, quantity
-from geometry.layout import SONG2018, Layout, crossing_pillars, footprint, min_span
+from geometry.layout import SONG2018, Layout, crossing_pillars, footprint, min_span, pillar_widths
+
+MAX_SLENDER = 60.0  #: length of a pillar over its width: a mesh of another rubber takes 8 s at 10, 90 s at 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +28,13 @@ class Unit(Sound):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        places = {one.name: one.place for one in (*self.layout.upper, *self.layout.lower)}
+        for one, width_mm in zip(self.layout.pillars, pillar_widths(self), strict=True):
+            length_mm = math.hypot(math.dist(places[one.foot], places[one.top]) * self.span_mm / 2, self.height_mm)
+            if width_mm * MAX_SLENDER < length_mm:
+                size = f"{width_mm:g} mm wide and {length_mm:.4g} mm long: make it at least"
+                least_mm = length_mm / MAX_SLENDER
+                raise DesignError(f"pillar {one.name} is too thin to cast or mesh, {size} {least_mm:.3g} mm wide.")
         least_mm, met = min_span(self)
         if self.span_mm <= least_mm:
             raise DesignError(

@@ -32,6 +32,7 @@ TURNS = (0.2, 0.3)  #: of a pad by a shear force, by its shift over the height; 
 SECTIONS = ("square", "round")  #: of a pillar, perpendicular to its axis
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")  #: of an electrode, a wire or a pillar: it becomes part of names
 PLACES = (-1e3, 1e3)  #: of an electrode, in half spans
+MAX_PARTS = 64  #: electrodes and pillars of a unit: more are an array's
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,9 @@ class Layout:
     pillars: tuple[Pillar, ...]
 
     def __post_init__(self) -> None:
+        for kind, count in (("electrodes", len(self.upper) + len(self.lower)), ("pillars", len(self.pillars))):
+            if count > MAX_PARTS:
+                raise DesignError(f"a unit has more than {MAX_PARTS} {kind}: give fewer, and more rows or cols.")
         wires = [one.wire for one in (*self.upper, *self.lower) if one.wire is not None]
         ends = [end for one in self.pillars for end in (one.foot, one.top)]
         for name in (*self.terminals, *wires, *self.pillar_names, *ends):

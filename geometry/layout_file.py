@@ -10,7 +10,7 @@ from typing import Any
 
 from common.errors import DesignError
 from common.storage.text_file import StrictTables
-from geometry.layout import LAYOUTS, SECTIONS, Electrode, Layout, Pillar
+from geometry.layout import LAYOUTS, MAX_PARTS, SECTIONS, Electrode, Layout, Pillar
 
 STRICT = StrictTables(DesignError)
 LEVELS = ("upper", "lower")  #: of electrodes
@@ -52,7 +52,7 @@ def layout_from_tables(table: dict[str, Any]) -> Layout:
             )
         return LAYOUTS[name]
     levels: dict[str, list[Electrode]] = {level: [] for level in LEVELS}
-    for where, entry in STRICT.entries(table, "electrode"):
+    for where, entry in STRICT.entries(table, "electrode")[: MAX_PARTS + 1]:  # `Layout` refuses more
         needed = ("name", "place", "level")
         STRICT.require_keys(entry, (*needed, "wire"), f" in {where}", needed)
         if entry["level"] not in LEVELS:
@@ -60,7 +60,7 @@ def layout_from_tables(table: dict[str, Any]) -> Layout:
         own = {key: value for key, value in entry.items() if key != "level"}
         levels[entry["level"]].append(STRICT.made(where, partial(Electrode, **own)))
     pillars = []
-    for where, entry in STRICT.entries(table, "pillar"):
+    for where, entry in STRICT.entries(table, "pillar")[: MAX_PARTS + 1]:
         needed = ("name", "from", "to")
         STRICT.require_keys(entry, (*needed, "section", "width_mm", "reference"), f" in {where}", needed)
         own = {{"from": "foot", "to": "top"}.get(key, key): value for key, value in entry.items()}

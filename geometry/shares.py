@@ -4,10 +4,12 @@ import itertools
 
 import numpy as np
 
+from common.errors import DesignError
 from geometry.design import Unit
 from geometry.layout import FloatArray, pillar_ends, pillar_sections
 from geometry.prism import Prism, unit_prisms
 
+MAX_GROUPS = 500  #: of as many pillars each that lie in one place: they double with every pillar
 ACROSS = 24  #: Gauss points along y of a round or turned section in each box
 
 
@@ -68,6 +70,8 @@ def pillar_shares(unit: Unit, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArr
     whole, sign = np.zeros((len(x_mm) - 1, len(y_mm) - 1, len(z_mm) - 1)), 1.0
     groups: list[tuple[int, ...]] = [(k,) for k in range(len(ends))]
     while groups:
+        if len(groups) > MAX_GROUPS:
+            raise DesignError("too many pillars of a unit lie in one place: join fewer at an electrode, 11 at most.")
         areas = {group: (filled_chords if any(is_chord[k] for k in group) else filled)(group) for group in groups}
         for area in areas.values():
             whole += sign * area

@@ -45,6 +45,8 @@ def kept(
         say_made_anew(path)
     made = make()
     try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: a folder in the place of a file of the cache: delete it.")
         write(made, path)
     except (OSError, FileFormatError) as error:
         if needed:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.bounded import no_file
 from common.errors import FileFormatError, NotWrittenError
 from common.storage.unfinished import unfinished_folder
 
@@ -135,8 +136,7 @@ def require_file(path: Path) -> Path:
     with reported(path, target):
         if target.is_dir():
             raise FileFormatError(f"{path} is a folder: give the name of a file in it.")
-        if target.exists() and not target.is_file():
-            kind = "a pipe" if target.is_fifo() else "a socket" if target.is_socket() else "a device"
+        if kind := no_file(target):
             raise FileFormatError(f"{path} is {kind}: give the name of a file.")
         _require_folder(path, target.parent)
     return target

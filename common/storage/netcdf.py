@@ -4,6 +4,7 @@ xarray, which takes a second to load where the packages are installed that it lo
 objects.
 """
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.bounded import require_memory
 from common.errors import FileFormatError
 from common.storage.files import replacing, uninterrupted
 from common.storage.seal import LAST_LINE, require_intact, sealed
@@ -183,7 +185,10 @@ def _read(path: Path, wanted: Mapping[str, tuple[str, ...]], *asked: Any) -> Con
         coords = {name for name, dims in there.items() if dims == (name,) or name in beside}
         data = {}
         others = {name: dims for name, dims in there.items() if name not in coords}
-        for name, dims in chosen_dims(path, others, wanted, *asked).items():
+        chosen = chosen_dims(path, others, wanted, *asked)
+        n_bytes = 16 * sum(math.prod(file[name].shape) for name in chosen)  # doubles, with a copy of what is used
+        require_memory(n_bytes, f"{path}: its numbers", "give a part of them, or a directory .zarr")
+        for name, dims in chosen.items():
             values = _values(file[name])
             if not is_unnamed(there[name], dims):
                 values = values.transpose([there[name].index(dim) for dim in dims])

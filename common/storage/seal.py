@@ -14,6 +14,7 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
+from common.bounded import require_regular
 from common.errors import FileFormatError
 
 KEY = "sha256"
@@ -33,10 +34,11 @@ def sealed(content: bytes | memoryview, last: bytes = b"") -> tuple[bytes | memo
 
 
 def require_intact(path: Path, mend: str, required: bool = False) -> None:
-    """Refuse a file that states another hash than its content's, or, if that is `required`, states none.
+    """Refuse a file that states another hash than its content's, or, if that is `required`, states none; or no file.
 
     `mend` ends the message. A file that is missing or cannot be opened is left to its reader, which says so.
     """
+    require_regular(path, mend)
     stated = found = None
     try:
         with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:

@@ -5,18 +5,22 @@ import reprlib
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
+from common.bounded import require_regular
 from common.errors import DesignError, TriPillarError
 
 MAX_BYTES = 2_000_000  #: of a text file: a thousand times a design's
 MAX_PARTS = 16  #: of a key such as a.b.c: the parser takes memory and time by the square of them
+MAX_DEPTH = 100  #: of brackets in brackets: the parser calls itself for each
 _DEEP = re.compile(rf"""(?<![\w."'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_PARTS}}}""")
 
 
 def read_text(path: Path, mend: str, refusal: type[TriPillarError]) -> str:
     """The text of a file in UTF-8; a `refusal` that ends in `mend`, what to give instead, if there is none."""
+    require_regular(path, mend, refusal)
     try:
         with Path(path).open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -30,12 +34,22 @@ def read_text(path: Path, mend: str, refusal: type[TriPillarError]) -> str:
 
 def tables_of(text: str, source: object, refusal: type[TriPillarError]) -> dict[str, Any]:
     """The nested tables of a TOML text; a `refusal` that names its source if it is none."""
-    if _DEEP.search(text):
-        raise refusal(f"{source}: a key has more than {MAX_PARTS} parts with dots between them: write tables instead.")
+    require_bounded(text, source, refusal)
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, endless nesting
+    except ValueError as error:  # also a number of thousands of digits
         raise refusal(f"{source}: not valid TOML: {error}") from None
+
+
+def require_bounded(text: str, source: object, refusal: type[TriPillarError]) -> None:
+    """Refuse a text of TOML that would cost its parser far more than its length does, or is too long itself."""
+    nested = accumulate(1 if bracket in "[{" else -1 for bracket in re.findall(r"[][{}]", text))
+    if len(text) > MAX_BYTES:
+        raise refusal(f"{source}: larger than {MAX_BYTES / 1e6:g} MB: give the tables alone.")
+    if _DEEP.search(text):
+        raise refusal(f"{source}: a key has more than {MAX_PARTS} parts with dots between them: write tables instead.")
+    if max(nested, default=0) > MAX_DEPTH:
+        raise refusal(f"{source}: not valid TOML: nested more than {MAX_DEPTH} deep: write tables instead.")
 
 
 def why_unreadable(error: Exception) -> str:

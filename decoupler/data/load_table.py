@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from common.clean import form_of, read_table
 from common.errors import FileFormatError
-from common.storage.text_file import why_unreadable
 from decoupler.data.pairs import Pairs
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray, Layout
@@ -34,6 +34,7 @@ FORCES = tuple(f"f{axis}_n" for axis in AXES)
 KNOWN = ("error", "tilt", "share")  #: columns that say how well a load is known
 TIMES = ("from_s", "to_s")  #: when the load was on, since the recording's first scan
 COLUMNS = ("load", "kind", "row", "col", *FORCES, "kpa", *KNOWN, *TIMES, "noise", "note")
+MAX_LOADS = 20_000  #: lines of a table
 ERROR = 0.01  #: standard deviation of a load's size where none is stated, relative
 TILT = 0.01  #: of the force across the stated one, relative to it: 0.6 degrees
 SHARES = {"plate": 0.3, "air": 0.02}  #: of each pad's share, relative to the mean share
@@ -89,15 +90,12 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
     in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative. A file or column that is
     missing, or a line that makes no sense, is a `FileFormatError` that names it.
     """
-    try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as opened:
-            reader = csv.DictReader(opened, skipinitialspace=True, restkey="")
-            lines = list(reader)
-            header = list(reader.fieldnames or [])
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
+    path = Path(path)
     rows, cols = design.array.rows, design.array.cols
     readings = reading_columns(rows, cols, design.unit.layout)
+    form = form_of(path, {*COLUMNS, *readings}.__contains__)
+    lines = read_table(path, form, MAX_LOADS, "give fewer loads, or samples, of which some are drawn")
+    header = [name for name in form.header if name]
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
     if given := _other_array(header, rows, cols, design.unit.layout):
         raise FileFormatError(
@@ -111,10 +109,12 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
             f"{readings[0]} to {readings[-1]}{spare}; it has {', '.join(header[:12]) if lines else 'no lines'}."
         )
     grouped: dict[str, list[tuple[int, Mapping[str, str]]]] = {}
-    for number, line in enumerate(lines, start=2):
-        if line.get(""):
+    for number, cells in lines.items():
+        names = form.header + [""] * (len(cells) - len(form.header))
+        if any(cell.strip() for name, cell in zip(names, cells, strict=False) if not name):
             raise FileFormatError(f"{path}, line {number}: has more values than the header has columns.")
-        grouped.setdefault((line["load"] or "").strip(), []).append((number, line))
+        line = dict(zip(names, cells, strict=False))
+        grouped.setdefault(line.get("load", "").strip(), []).append((number, line))
     return [_load(path, name, numbered, design, readings) for name, numbered in grouped.items()]
 
 

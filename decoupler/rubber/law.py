@@ -4,13 +4,14 @@ from dataclasses import MISSING, dataclass, field
 
 import numpy as np
 
-from common.quantity import Sound, quantity
+from common.quantity import Sound, positive, quantity
 from dataset.memory import broken_contacts, log_rise, relaxed_forces
 from geometry.design import LOG_RISES, MODELS, RATES, Memory, Prony
 from geometry.layout import FloatArray
 
 #: numbers of the memory in the order of a covariance; rates and times by their logarithms
 NAMES = ("g1", "g2", "a1", "a2", "b_lengthen", "b_shorten", "tau1_s", "tau2_s")
+SIZES, STRAINS = (0.0, 1e12), (-0.95, 1e6)  #: that deviations and strains may have
 LINEAR = 4  #: so many are no logarithms
 
 
@@ -49,7 +50,7 @@ class Elastic(Sound):
     """The force of a strip: a law of its rubber, how stiff it is, and how it relaxes."""
 
     model: str = quantity(MISSING, "law of the rubber", of=MODELS)
-    stiffness_n: float = quantity(MISSING, "shear modulus μ times section [N]")
+    stiffness_n: float = positive(MISSING, "shear modulus μ times section [N]")
     stiffening: float = quantity(0.0, "c₂/c₁ of Yeoh's law")
     second: float = quantity(0.0, "share of the second invariant, of Mooney's and Rivlin's law")
     prony: Prony = field(default_factory=Prony)
@@ -66,17 +67,17 @@ class Rubber(Sound):
 
     memory: Memory
     covariance: FloatArray  #: (8, 8) of the memory's numbers, in the order of `NAMES`
-    noise: float = quantity(MISSING, "standard deviation of ln R about the law")
-    correlation_s: float = quantity(MISSING, "time over which these errors are alike [s]")
-    force_noise_n: float = quantity(MISSING, "standard deviation of the force about its law [N]")
-    min_strain: float = quantity(MISSING, "least and largest strain of the series")
-    max_strain: float = quantity(MISSING, "beyond, nothing was measured")
-    rest_ohm: float = quantity(MISSING, "resistance of the specimen at rest [Ω]")
-    wires: int = quantity(4, "that it was read by: with 2 contacts are in it")
-    section_mm2: float | None = quantity(None, "of the specimen [mm²]")
-    electrodes_mm: float | None = quantity(None, "distance of the electrodes that read [mm]")
-    contact_ohm: float | None = quantity(None, "of one of the specimen's contacts, median of the series [Ω]")
-    contact_spread: float | None = quantity(None, "standard deviation of its changes, relative")
+    noise: float = quantity(MISSING, "standard deviation of ln R about the law", within=SIZES)
+    correlation_s: float = quantity(MISSING, "time over which these errors are alike [s]", within=SIZES)
+    force_noise_n: float = quantity(MISSING, "standard deviation of the force about its law [N]", within=SIZES)
+    min_strain: float = quantity(MISSING, "least and largest strain of the series", within=STRAINS)
+    max_strain: float = quantity(MISSING, "beyond, nothing was measured", within=STRAINS)
+    rest_ohm: float | None = positive(None, "resistance of the specimen at rest [Ω]; none of a mechanical test")
+    wires: int = quantity(4, "that it was read by, 2 or 4: with 2 contacts are in it", within=(2, 4))
+    section_mm2: float | None = positive(None, "of the specimen [mm²]")
+    electrodes_mm: float | None = positive(None, "distance of the electrodes that read [mm]")
+    contact_ohm: float | None = quantity(None, "of a contact of the specimen, median of the series [Ω]", within=SIZES)
+    contact_spread: float | None = quantity(None, "standard deviation of its changes, relative", within=SIZES)
     elastic: Elastic = quantity(MISSING, "law of the force, which relaxes as [pillar_material.prony] says")
     unknown: tuple[tuple[str, str], ...] = ()  #: what the series does not tell, and which test would
 
@@ -93,7 +94,7 @@ class Rubber(Sound):
     @property
     def resistivity_ohm_mm(self) -> float | None:
         """Resistivity at rest; None where sizes are not known or contacts are in it."""
-        if self.section_mm2 is None or self.electrodes_mm is None or self.wires == 2:
+        if self.section_mm2 is None or self.electrodes_mm is None or self.rest_ohm is None or self.wires == 2:
             return None
         return self.rest_ohm * self.section_mm2 / self.electrodes_mm
 

@@ -21,7 +21,7 @@ def draw_rubber(rubber: Rubber, series: Series, path: Path) -> None:
     figure = Figure(figsize=(12.5, 9.0), dpi=110, layout="constrained")
     grid = figure.add_gridspec(3, 2)
     top, middle = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-    modelled, time_s = resistance_from_strain(rubber, series), series.time_s - series.time_s[0]
+    modelled, time_s = resistance_from_strain(rubber, series), np.r_[0.0, np.cumsum(np.minimum(series.seconds, REST_S))]
     top.plot(time_s, series.resistance_ohm, color=INK, lw=0.8, label="measured")
     top.plot(time_s, modelled, color=ORANGE, lw=0.8, label="from strain by the law")
     top.set(ylabel="resistance [Ω]")

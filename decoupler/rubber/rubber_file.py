@@ -19,6 +19,7 @@ from geometry.design import SensorDesign
 from geometry.design_file import STRICT, design_to_toml, row_text, table_lines, whole_design
 
 MEND = "write one with 'tripillar rubber --data SERIES.csv --out RUBBER.toml'"
+ROUNDED = 1e-3  #: by which correlations may be off
 TABLES = ("elastic", "deviations", "correlations", "unknown")  #: in [rubber]
 
 
@@ -59,11 +60,18 @@ def read_rubber(path: Path) -> Rubber:
     elastic, deviations, correlations, unknown = (STRICT.table(table, name) for name in TABLES)
     try:
         deviation = np.array([deviations[name] for name in NAMES], dtype=float)
-        covariance = np.array([correlations[name] for name in NAMES], dtype=float) * np.outer(deviation, deviation)
-        if covariance.shape != (len(NAMES),) * 2 or not np.isfinite(covariance).all():
-            raise ValueError("correlations")
+        correlation = np.array([correlations[name] for name in NAMES], dtype=float).reshape(len(NAMES), len(NAMES))
+        off = np.abs(correlation - correlation.T).max() + np.abs(correlation.diagonal() - 1).max()
+        if not ((deviation > 0) & (deviation < np.inf)).all() or not off < ROUNDED:
+            raise ValueError("deviations above 0, and correlations alike across the diagonal of 1")
+        if np.linalg.eigvalsh(correlation)[0] < -ROUNDED:
+            raise ValueError("correlations that do not contradict each other")
     except (KeyError, TypeError, ValueError) as error:
         raise DesignError(f"{path}: [rubber] lacks {error}, or it is no number: {MEND}.") from None
+
+    if table.get("wires", 4) not in (2, 4):
+        raise DesignError(f"{path}: [rubber] wires={table['wires']} must be 2 or 4.")
+    covariance = correlation * np.outer(deviation, deviation)
 
     def filled(kind: Any, name: str, own: dict[str, Any], **beside: Any) -> Any:
         stated = {spec.name: spec for spec in fields(kind) if "meaning" in spec.metadata and spec.name not in beside}

@@ -3,7 +3,6 @@
 Each rule takes a series and gives it back mended, which it says in a note, or refuses it with what to do.
 """
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,39 +13,47 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from common.clean import form_of, read_table
 from common.errors import FileFormatError
-from common.storage.text_file import StrictTables, why_unreadable
+from common.storage.text_file import StrictTables
+from dataset.memory import broken_contacts
+from geometry.design import Memory
 from geometry.layout import FloatArray
 
 STRICT = StrictTables(FileFormatError)
+SECONDS = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0, "us": 1e-6, "ns": 1e-9}
 #: columns of each quantity that a table may have, and how much of its unit theirs is
 COLUMNS = {
-    "time_s": {"time_s": 1.0, "time_ms": 1e-3, "time_min": 60.0},
+    "time_s": {f"time_{unit}": each for unit, each in SECONDS.items()},
     "strain": {"strain": 1.0, "strain_pct": 0.01, "displacement_mm": 1.0},
     "force_n": {"force_n": 1.0, "force_mn": 1e-3, "force_g": 9.80665e-3},
     "resistance_ohm": {"resistance_ohm": 1.0, "resistance_kohm": 1e3, "resistance_mohm": 1e6},
     "two_wire_ohm": {"two_wire_ohm": 1.0, "two_wire_kohm": 1e3},
 }
-BESIDE = "two_wire_ohm"  #: may stand beside the resistance by four wires
+BESIDE = ("resistance_ohm", "two_wire_ohm")  #: may be missing: of a mechanical test, and of one by four wires
 NAMED = "columns={0}=NAME names another one, as in displacement_mm=x,time_ms=t"
 MIN_ROWS = 100
-MAX_ROWS = 15_000  #: more are averaged
-MAX_STEP_S, MAX_DAYS = 5.0, 3.0  #: between rows, and of all: no bench is so slow, milliseconds look so
+MAX_ROWS, MOST_ROWS = 15_000, 2_000_000  #: more are averaged, or refused
+STEPS_S, LENGTHS_S = (1e-4, 5.0), (20.0, 3 * 86400.0)  #: between rows, and of all, that benches have
+USUAL_S = 0.2  #: between rows
+APART_S = 1e5  #: between runs of which nothing is known in between: everything is forgotten
 LARGEST = 1e12  #: of a reading
 MIN_OHM = 50.0  #: no strip of filled silicone has less; kΩ look so
 MIN_STRAIN, MAX_STRAIN = 5e-3, 3.0  #: range of a series that tells something, and that is believed
 GAP_S, GAP_STEPS = 5.0, 20.0  #: between rows, forwards or back, and over their usual distance
 RESTARTS = 0.05  #: of the rows: a table whose clock steps back more often is in no order
-STILL = 0.02  #: of the range: strain that has hardly moved
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
 GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
 MANY_GLITCHES = 0.3  #: of the rows: what jumps so often is no position of the specimen
+FELT, PARTS = 0.5, 8  #: correlation of bends of strain and force, which motion has; parts of steps of few rows for it
 FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
-JITTER, MAX_DETOUR = 5.0, 1.1  #: deviations of noise that strain may turn within; way with it over that without
+JITTER, MAX_DETOUR = 5.0, 1.03  #: deviations of noise that strain may turn within; way with it over that without
+COARSE = 1.1  #: the same where this is motion: of rows too few for it
 QUIET = 100  #: rows of a part that may be at rest
-MIN_KEPT = 0.5  #: of a series with gaps that its longest part must be
+USUAL = [Memory(b_lengthen=b, b_shorten=5.7 * b, tau_s=(s, 120.0)) for b in (0.8, 1.5, 2.5) for s in (5.0, 12.0)]
+MIN_KEPT, MAX_RUNS = 0.5, 12  #: of rows with runs apart that are used, and runs at most: the longest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,9 +63,10 @@ class Series:
     time_s: FloatArray
     strain: FloatArray
     force_n: FloatArray
-    resistance_ohm: FloatArray
+    resistance_ohm: Any = None  #: (n,); None of a mechanical test
     notes: tuple[str, ...] = ()  #: what was found and mended, a line each
-    settled: bool = True  #: whether it begins at rest and unstrained
+    settled: bool = True  #: whether its first run begins at rest and unstrained
+    parts: int = 1  #: of each step between rows, followed along a curve: 1, but where rows are few for the motion
     two_wire_ohm: FloatArray | None = None  #: the whole specimen with its contacts, where it was read, too
 
     def __len__(self) -> int:
@@ -68,6 +76,22 @@ class Series:
     def seconds(self) -> FloatArray:
         """Times between readings (n − 1,) [s]."""
         return np.diff(self.time_s)
+
+    @property
+    def unsettled(self) -> list[int]:
+        """First rows of its runs that do not begin at rest, or of which nobody knows."""
+        return [0] * (not self.settled) + [*(np.flatnonzero(self.seconds >= APART_S) + 1).tolist()]
+
+    def broken(self, memory: Memory) -> FloatArray:
+        """Shares of contacts (2, n) that strain has broken, from rest on."""
+        strain, seconds = self.strain, self.seconds
+        if self.parts > 1:
+            from scipy.interpolate import CubicSpline
+
+            rows = np.arange(len(self))
+            fine = CubicSpline(rows, strain)(np.linspace(0, rows[-1], self.parts * rows[-1] + 1))
+            strain, seconds = fine.clip(strain.min(), strain.max()), np.repeat(seconds / self.parts, self.parts)
+        return broken_contacts(strain, seconds, memory)[:, :: self.parts]
 
     @property
     def arrays(self) -> dict[str, FloatArray]:
@@ -107,9 +131,9 @@ def read_series(
             )
         table["strain"] = table["strain"] / length_mm
     series, with_sense = Series(**table), partial(_with_sense, units=units, as_given=as_given)
-    ordered = (_whole_rows, _one_run, _in_order, _unsigned)
-    cleaned = (_without_glitches, _without_gaps, _without_swings, _without_jitter, _of_few_rows, _signs_agree, _begun)
-    for rule in (*ordered, with_sense, *cleaned):
+    ordered = (_whole_rows, _spread, _runs_apart, _in_order, _unsigned, with_sense, _without_glitches)
+    of_resistance = (_without_swings, _without_jitter) if series.resistance_ohm is not None else ()
+    for rule in (*ordered, *of_resistance, _of_few_rows, _signs_agree, _begun):
         series = STRICT.made(str(path), rule, series=series)
     return series
 
@@ -119,51 +143,88 @@ def _columns(path: Path, named: Mapping[str, str]) -> tuple[dict[str, str], dict
     known = [name for units in COLUMNS.values() for name in units]
     if wrong := [name for name in named if name not in known]:
         raise FileFormatError(f"columns={wrong[0]}=... names no quantity; there are {', '.join(known)}.")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as opened:
-            header, *lines = [line for line in csv.reader(opened, skipinitialspace=True) if line] or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(f"{path}: {why_unreadable(error)}: give a CSV table.") from None
-    header, found, table = [name.strip() for name in header], {}, {}
+    form = form_of(path, {*known, *named.values()}.__contains__)
+    lines = read_table(path, form, MOST_ROWS, "give fewer, such as every tenth").values()
+    header, found, table = form.header, {}, {}
     for quantity, units in COLUMNS.items():
         names = {unit: named.get(unit, unit) for unit in units}
         there = sorted((unit for unit in units if names[unit] in header), key=lambda unit: unit not in named)
         if there:
             unit, place = there[0], header.index(names[there[0]])
-            found[quantity], table[quantity] = unit, units[unit] * np.array([_number(line, place) for line in lines])
-        elif quantity != BESIDE:
+            said = form.units.get(names[unit], "").lower().replace("\u03a9", "ohm").replace("%", "pct")
+            if (other := f"{unit.rpartition('_')[0] or unit}_{said}") in units and other != unit:
+                raise FileFormatError(
+                    f"{path}: the line of units says {said} of {names[unit]}: name it columns={other}={names[unit]}."
+                )
+            found[quantity] = unit
+            try:
+                table[quantity] = units[unit] * np.array([float(cells[place]) for cells in lines])
+            except (ValueError, IndexError):
+                table[quantity] = units[unit] * np.array([_number(cells, place) for cells in lines])
+        elif quantity not in BESIDE:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "
                 f"it has {', '.join(header[:12]) or 'no lines'}: {NAMED.format(quantity)}."
             )
+    if "two_wire_ohm" in found and "resistance_ohm" not in found:
+        raise FileFormatError(f"{path}: two_wire_ohm stands beside four wires: of two alone name it resistance_ohm=.")
     return found, table
 
 
-def _number(line: list[str], place: int) -> float:
+def _number(cells: list[str], place: int) -> float:
     try:
-        return float(line[place])
+        return float(cells[place])
     except (ValueError, IndexError):
         return float("nan")
 
 
 def _whole_rows(series: Series) -> Series:
-    """Rows with all readings."""
-    read = np.isfinite(list(series.arrays.values())).all(axis=0) & (series.resistance_ohm != 0)
+    """Rows with all readings, none of them what meters say for none."""
+    time_s, *others = np.abs(list(series.arrays.values()))
+    read = np.isfinite(time_s) & (np.array(others) < LARGEST).all(axis=0)
+    if series.resistance_ohm is not None:
+        read &= series.resistance_ohm != 0
     return series.part(read, f"{(~read).sum()} rows without all readings left out" * (not read.all()))
 
 
-def _one_run(series: Series) -> Series:
-    """The longest run of a clock that started again: by order of time its rows would mingle with those before."""
-    back = np.flatnonzero(series.seconds < -_gap_s(series)) + 1
-    runs = sorted((run.min(), run.max()) for run in np.split(series.time_s, back) if len(run))
-    mingle = any(end_s > begin_s for (_, end_s), (begin_s, _) in pairwise(runs))
-    if not mingle or len(back) > RESTARTS * len(series):
+def _spread(series: Series) -> Series:
+    """Rows that share the time of a coarse clock between its ticks, as one after another."""
+    ticks = np.flatnonzero(np.r_[len(series) > 0, series.seconds != 0])
+    rows, place = np.diff(np.r_[ticks, len(series)]), np.arange(len(series))
+    alike = [(np.diff(values)[series.seconds == 0] == 0).all() for values in series.arrays.values()]
+    if len(ticks) < 2 or (usual := float(np.median(rows))) < 2 or all(alike):  # rows that are there twice
         return series
-    kept, many = _longest(series, back), "s" * (len(back) > 1)
-    said = f"its clock steps back {len(back)} time{many}, first to {series.time_s[back[0]]:.4g} s"
-    if len(kept) < MIN_ROWS:
-        raise FileFormatError(f"{said}, and no run has {MIN_ROWS} rows: record it again in one go.")
-    return kept.mended(f"{said}: only the longest run is used")
+    step, many = np.diff(series.time_s[ticks]), np.maximum(rows, usual)
+    tick_s, begins = float(np.median(np.abs(step))), np.r_[True, step < 0]
+    first = np.where(begins, many - rows, 0) - ticks  # of the first tick the rows before are missing
+    time_s = series.time_s + tick_s * np.repeat(1 / many, rows) * (place + np.repeat(first, rows))
+    return series.mended(f"{usual:g} rows share each time: spread over {tick_s:.3g} s", time_s=time_s)
+
+
+def _runs_apart(series: Series) -> Series:
+    """Runs before and after gaps and restarts of the clock, so far apart that the rubber forgets; short ones left out.
+
+    Where none would mingle by the order of time, rows are put in it.
+    """
+    breaks = np.flatnonzero(np.abs(series.seconds) > _gap_s(series)) + 1
+    runs = np.split(np.arange(len(series)), breaks)
+    ends_s = sorted((series.time_s[run].min(), series.time_s[run].max()) for run in runs if len(run))
+    mingle = any(end_s > begin_s for (_, end_s), (begin_s, _) in pairwise(ends_s))
+    if (series.seconds < 0).any() and (not mingle or len(breaks) > RESTARTS * len(series)):
+        return _runs_apart(series.part(np.argsort(series.time_s, kind="stable"), "rows put in the order of time"))
+    if not len(breaks):
+        return series
+    first_s, last_s = series.time_s[breaks[0] - 1 : breaks[0] + 1]
+    said = f"its clock leaps {len(breaks)} time{'s' * (len(breaks) > 1)}, first from {first_s:.4g} s to {last_s:.4g} s"
+    runs = sorted(sorted((run for run in runs if len(run) >= MIN_ROWS), key=len)[-MAX_RUNS:], key=min)
+    if sum(map(len, runs)) < MIN_KEPT * len(series):
+        raise FileFormatError(f"{said}, too few runs have {MIN_ROWS} rows: record it again in one go, without gaps.")
+    kept = series.part(np.concatenate(runs))
+    seconds = kept.seconds
+    seconds[np.cumsum([*map(len, runs)])[:-1] - 1] = 2 * APART_S
+    note = f"{said}: {len(runs)} run{'s' * (len(runs) > 1)} of {len(kept)} rows used, what each remembers found with it"
+    time_s = kept.time_s[0] + np.r_[0.0, np.cumsum(seconds)]
+    return kept.mended(note, time_s=time_s, settled=series.settled and runs[0][0] == 0)
 
 
 def _in_order(series: Series) -> Series:
@@ -176,6 +237,8 @@ def _in_order(series: Series) -> Series:
 
 def _unsigned(series: Series) -> Series:
     """Resistances above 0, of meters whose wires were swapped."""
+    if series.resistance_ohm is None:
+        return series
     turned = (series.resistance_ohm < 0).mean() if len(series) else 0.0
     note = f"the resistance is negative in {turned:.0%} of the rows: its sign was dropped" * bool(turned)
     return series.mended(note, **{name: np.abs(own) for name, own in series.arrays.items() if name.endswith("_ohm")})
@@ -185,17 +248,22 @@ def _with_sense(series: Series, units: Mapping[str, str], as_given: bool) -> Ser
     """The same; refused if it tells nothing, or is in another unit than its column says."""
     if len(series) < MIN_ROWS:
         raise FileFormatError(f"has {len(series)} rows with all readings, a series needs at least {MIN_ROWS}.")
-    strain, ohm, time_s = series.strain, series.resistance_ohm, series.time_s
-    step_s, whole_s, most, least_ohm = np.median(np.diff(time_s)), np.ptp(time_s), np.abs(strain).max(), np.median(ohm)
-    said = ""
-    if step_s > MAX_STEP_S or whole_s > MAX_DAYS * 86400:
-        said = f"its rows are {step_s:.4g} s apart, {whole_s:.3g} s in all, as if {units['time_s']} were milliseconds: "
-        said += "name the column time_ms"
+    strain, ohm, seconds, most = series.strain, series.resistance_ohm, series.seconds, np.abs(series.strain).max()
+    step_s, whole_s = float(np.median(seconds)), float(seconds[seconds <= _gap_s(series)].sum())
+    said, unit = "", units["time_s"]
+    if not (STEPS_S[0] <= step_s <= STEPS_S[1] and LENGTHS_S[0] <= whole_s <= LENGTHS_S[1]):
+        said = f"its rows are {step_s:.4g} s apart, {whole_s:.3g} s in all, as no bench reads"
+        sizes = {name: factor / SECONDS[unit[5:]] for name, factor in SECONDS.items()}
+        other = min(sizes, key=lambda name: abs(np.log(max(step_s, 1e-15) * sizes[name] / USUAL_S)))
+        if other != unit[5:] and LENGTHS_S[0] <= whole_s * sizes[other] <= LENGTHS_S[1]:
+            said = f"{said.rpartition(',')[0]}, as if {unit} were in {other}: name the column time_{other}"
     elif most > MAX_STRAIN:
         said = f"{units['strain']} goes up to {most:.4g}, as if it were percent or millimetres: name it strain_pct, or "
         said += "displacement_mm with length_mm="
-    elif least_ohm < MIN_OHM:
-        said = f"{units['resistance_ohm']} is {least_ohm:.3g} Ω, as if it were kΩ: name the column resistance_kohm"
+    elif ohm is not None and np.median(ohm) < MIN_OHM:
+        said = f"{units['resistance_ohm']} is {np.median(ohm):.3g} Ω, as if it were kΩ: name the column resistance_kohm"
+    elif series.two_wire_ohm is not None and np.median(series.two_wire_ohm / ohm) < 1:
+        said = "two_wire_ohm is below the reading by four wires, which lacks contacts: are both exchanged, or in kΩ?"
     if said and not as_given:
         raise FileFormatError(f"{said}; if it is right, add force=True.")
     if np.ptp(strain) < MIN_STRAIN:
@@ -205,11 +273,10 @@ def _with_sense(series: Series, units: Mapping[str, str], as_given: bool) -> Ser
         )
     if (strain <= -0.95).any():
         raise FileFormatError(f"{units['strain']} falls to {strain.min():.3g}: nothing is shorter than -0.95.")
-    for name, values in ((units["resistance_ohm"], ohm), (units["force_n"], series.force_n)):
+    for quantity in ("resistance_ohm", "force_n"):
+        values = series.arrays.get(quantity, strain)
         if np.ptp(values) <= 1e-9 * np.abs(values).max():
-            raise FileFormatError(f"{name} stays {values[0]:.6g}: was its meter connected?")
-        if np.abs(values).max() > LARGEST:
-            raise FileFormatError(f"{name} goes up to {np.abs(values).max():.3g}: leave such rows out.")
+            raise FileFormatError(f"{units[quantity]} stays {values[0]:.6g}: was its meter connected?")
     return series
 
 
@@ -242,33 +309,9 @@ def _glitches(t: FloatArray, x: FloatArray, f: FloatArray) -> NDArray[np.bool_]:
     return bad
 
 
-def _without_gaps(series: Series) -> Series:
-    """The longest part between gaps in which the specimen moved; others are bridged."""
-    apart = series.seconds
-    gaps = np.flatnonzero(apart > _gap_s(series))
-    if not len(gaps):
-        return series
-    most = gaps[np.argmax(apart[gaps])]
-    said = f"{len(gaps)} gap{'s' * (len(gaps) > 1)}, the longest {apart[most]:.3g} s at {series.time_s[most]:.4g} s"
-    moved = gaps[np.abs(np.diff(series.strain)[gaps]) > STILL * np.ptp(series.strain)]
-    if not len(moved):
-        return series.mended(f"{said}, in which strain stayed: bridged")
-    kept = _longest(series, moved + 1)
-    if np.ptp(kept.time_s) < MIN_KEPT * float(np.ptp(series.time_s)) or len(kept) < MIN_ROWS:
-        raise FileFormatError(f"{said}, and strain moved meanwhile: record it again without gaps.")
-    return kept.mended(f"{said}: only the longest part without is used")
-
-
 def _gap_s(series: Series) -> float:
     """What is more than the usual time between rows, forwards or back."""
     return max(GAP_S, GAP_STEPS * float(np.median(np.abs(series.seconds)))) if len(series) > 1 else GAP_S
-
-
-def _longest(series: Series, begins: NDArray[np.intp]) -> Series:
-    """The longest part in time of those that begin with the first row and with these; only that one begins at rest."""
-    parts = pairwise([0, *begins.tolist(), len(series)])
-    begin, end = max(parts, key=lambda part: series.time_s[part[1] - 1] - series.time_s[part[0]])
-    return replace(series.part(slice(begin, end)), settled=series.settled and begin == 0)
 
 
 def _without_swings(series: Series) -> Series:
@@ -292,10 +335,27 @@ def _without_jitter(series: Series) -> Series:
     way = np.abs(np.diff(series.strain)).sum()
     there, back = _followed(series.strain, JITTER * noise), _followed(series.strain[::-1], JITTER * noise)[::-1]
     strain = (there + back) / 2  # each lags by as much
-    if way < MAX_DETOUR * np.abs(np.diff(strain)).sum():
+    detour = float(way / np.abs(np.diff(strain)).sum())
+    if detour < MAX_DETOUR:
+        return series
+    if abs(np.corrcoef(np.diff(series.strain - strain, 2), np.diff(series.force_n, 2))[0, 1]) > FELT:
+        return replace(series, parts=PARTS) if detour > COARSE else series
+    if not _is_better(series, strain):
         return series
     note = f"strain jitters by {noise:.2g}, which would break contacts in the law: what turns within that was left out"
     return series.mended(note, strain=strain)
+
+
+def _is_better(series: Series, strain: FloatArray) -> bool:
+    """Whether the best of some usual laws meets the resistance better with a mended strain."""
+
+    def missed(strain: FloatArray, memory: Memory) -> float:
+        broken = broken_contacts(strain, series.seconds, memory)
+        columns = np.stack([np.ones_like(strain), strain, strain**2, *broken], axis=1)
+        left = np.log(series.resistance_ohm) - 2 * np.log1p(strain)
+        return float(np.std(left - columns @ np.linalg.lstsq(columns, left)[0]))
+
+    return min(missed(strain, each) for each in USUAL) < min(missed(series.strain, each) for each in USUAL)
 
 
 def _followed(values: FloatArray, slack: float) -> FloatArray:
@@ -317,7 +377,8 @@ def _signs_agree(series: Series) -> Series:
     """Strain and force that rise together; where they do not, the resistance tells which of them is turned."""
     if np.corrcoef(series.strain, series.force_n)[0, 1] >= 0:
         return series
-    if np.corrcoef(series.strain, series.resistance_ohm)[0, 1] < 0:  # it rises in tension
+    ohm = series.resistance_ohm
+    if ohm is not None and np.corrcoef(series.strain, ohm)[0, 1] < 0:  # it rises in tension
         note = "force_n and the resistance rise as strain falls: taken for tension, strain's sign was turned"
         return series.mended(note, strain=-series.strain)
     note = "force_n falls as strain rises, the resistance does not: force_n's sign was turned"

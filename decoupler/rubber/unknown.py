@@ -36,6 +36,8 @@ def unknown_of(covariance: FloatArray, prior: FloatArray, strains: tuple[float, 
         if value > UNKNOWN**2:
             named = [name for name, part in zip(NAMES, share / share.sum(), strict=True) if part > PART]
             found.setdefault(" with ".join(named), "; ".join(dict.fromkeys(TESTS[name] for name in named)))
+    if np.array_equal(covariance, prior):
+        found = {"all of the resistance": "the same test with a column resistance_ohm"}
     least, most = strains
     if least > -0.1 * most:
         found["compression"] = "the same test pressed: what it does in tension says nothing of it"

@@ -408,12 +408,12 @@ def _refusal(system: System, reached: float, worst: Equilibrium) -> UnreachableL
         mend = "take a smaller load or a stiffer rubber"
     elif any(isinstance(load, FollowerLoad) for load in system.loads):
         mend = "take a smaller load, a stiff plate in place of the pressure, or a coarser mesh at the patch's edge"
-    what = "equilibrium"
+    what, at = "equilibrium", f"above {reached:.3g}" if reached else f"even under {MIN_STEP:.2g}"
     is_equilibrium = worst.residual <= RESIDUAL
     if is_equilibrium:
         what, mend = "stable equilibrium", f"it buckles or folds: {mend}, or make the body stouter"
     return UnreachableLoadError(
-        f"no {what} above {reached:.3g} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
+        f"no {what} {at} of the load: beyond, the element at x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm "
         f"gives way (smallest J {least:.2g}): {mend}.",
         is_unstable=is_equilibrium and least >= SQUEEZED,
     )

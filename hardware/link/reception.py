@@ -1,5 +1,6 @@
 """Bytes from one board to scans with their times. No port and no thread: bytes and their time of arrival are given."""
 
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from hardware.link.protocols import Decoder
 
 WAIT_NS = 1000  #: least time between two stamps; seconds since 1970 as floating-point numbers tell 240 ns
 MAX_HELD_NS = 1_000_000_000  #: step back of the clock that stamps wait for; after a longer one they follow it
+OFF_PACE = 0.1  #: logarithm of a clock's pace that is said: ten times what resonators are off
 _TURN_US = 2**32  # the board's clock starts again from 0
 _BUCKET_S = 1.0  # the quickest frame of each second is kept
 _MAX_POINTS = 20  # so many seconds back frames count
@@ -51,11 +53,18 @@ class LinkStatistics(Statistics):
     dropped: int = 0  #: scans that fell out of the scanner's queue, because nobody took them in time
     stalls: int = 0  #: silences longer than the timeout
     reconnects: int = 0  #: the port was lost and found again
+    clock_pace: float = 1.0  #: of the board's clock over this computer's
 
     @property
     def overruns_said(self) -> str:
         """The overruns in words, as 'at least 243 overruns'."""
         return f"{'at least ' * self.uncounted}{self.overruns} overruns"
+
+    @property
+    def clock_said(self) -> str:
+        """In words that the board's clock is wrong; nothing while it is right within what boards' clocks are."""
+        off = f"the board's clock runs {self.clock_pace:.3g} times as fast as this computer's"
+        return off if abs(math.log(self.clock_pace)) > OFF_PACE else ""
 
 
 _IDENTITY = ("rows", "cols", "layout", "bits", "scan_mode", "serial", "sense_ohm")  # of a device: these never change
@@ -99,7 +108,8 @@ class Reception:
 
     @property
     def statistics(self) -> LinkStatistics:
-        return LinkStatistics(uncounted=self._uncounted, **(self.counted + self._decoded()))
+        counts = self.counted + self._decoded()
+        return LinkStatistics(uncounted=self._uncounted, clock_pace=self._clock.pace, **counts)
 
     def connected(self) -> None:
         """Start anew on the bytes of a new connection."""
@@ -225,6 +235,7 @@ class DeviceClock:
         self._quickest.clear()  # of each second gone by: (board's time, delay), both [s], as below
         self._current: tuple[float, float] | None = None  # of the second that runs
         self._last_us: int | None = None  # never wraps
+        self.pace = 1.0  #: of the board's clock over the host's, however wrong
         self.drift = 0.0  #: fraction by which the host's clock runs faster than the board's
         self._bucket_end_s = self._offset_s = 0.0
 
@@ -282,5 +293,7 @@ class DeviceClock:
             i, j = np.triu_indices(len(points), 1)
             slopes = (delay_s[j] - delay_s[i]) / (board_s[j] - board_s[i])
             highest = (delay_s - np.outer(slopes, board_s)).min(axis=1).argmax()
-            self.drift = min(max(float(slopes[highest]), -MAX_DRIFT), MAX_DRIFT)
+            slope = float(slopes[highest])
+            self.pace = 1 / max(1 + slope, 1e-3)
+            self.drift = min(max(slope, -MAX_DRIFT), MAX_DRIFT)
         self._offset_s = min(delay_s - self.drift * board_s for board_s, delay_s in points)

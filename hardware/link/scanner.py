@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any, Self
 
@@ -51,6 +52,7 @@ class Link:
         self.commands: deque[bytes] = deque()  #: to be sent
         self.wanted_hz: int | None = None  #: the rate that was set, which a reset makes the board forget
         self.fault: str | None = None  #: why nothing comes, in one line; what `Reception` refuses has its own
+        self.is_finite = False  #: the port plays a recording, as it says by `finished`
         self.is_finished = False  #: the port says that nothing will come any more
         self._is_silent = False  # nothing has come since the connection
         self._port: Port | None = None
@@ -109,7 +111,8 @@ class Link:
     def _begin(self, port: Port) -> None:
         """Start on a connection: listen first, but to a finite port, which has no boot loader."""
         self._port, self.fault, self._is_new = port, None, True  # `take` has yet to hear of it
-        self._is_silent = not hasattr(port, "finished")
+        self.is_finite = hasattr(port, "finished")
+        self._is_silent = not self.is_finite
         self._heard_s = self._read_s = self._clock()
         self._ask_s = self._heard_s + LISTEN_S * self._is_silent
 
@@ -235,7 +238,8 @@ class Scanner:
     def stats(self) -> LinkStatistics:
         """Counts of all that happened so far."""
         with self._changed:
-            return self._link.reception.statistics
+            found = self._link.reception.statistics
+        return replace(found, clock_pace=1.0) if self._link.is_finite else found  # it is played at any pace
 
     @property
     def ended(self) -> bool:

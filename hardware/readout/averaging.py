@@ -23,11 +23,13 @@ def averaged(counts: NDArray[Any], crossbar: Crossbar) -> tuple[FloatArray, floa
     """Mean resistances (rows, cols, P) [Ω] of counts (n, n_crossings), NaN where a count is 0, open; and their noise.
 
     The noise is their relative standard deviation: the median over pillars of scatter and converter's steps together.
-    A pillar at full scale lies below what the converter can tell: `FileFormatError`.
+    A pillar at full scale lies below what the converter can tell, and a sensor of open ones is none: `FileFormatError`.
     """
     readings, is_bound = crossbar.fractions(counts)
     is_open = crossbar.as_pillars(np.any(counts == 0, axis=0, keepdims=True))[0]
     is_short = crossbar.as_pillars(np.any(is_bound, axis=0, keepdims=True))[0] & ~is_open
+    if is_open.all():
+        raise FileFormatError("every pillar reads 0, as if open: connect the sensor, or take a larger sense resistor.")
     if is_short.any():
         row, col, pillar = np.argwhere(is_short)[0]
         raise FileFormatError(

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import require_memory
 from common.errors import FileFormatError
 from common.storage.netcdf import Content, Named, labelled
 from common.threads import one_blas_thread
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from decoupler.rubber.belief import SensorFilter
 
 CHUNK = 2048  #: frames worked on together
+Told = Callable[[int], Any]
+BYTES_A_COUNT = 48  #: of memory that the forces of a recording take, a count of its frames
 NAMED = 3  #: pillars left out that are named in a line
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
 #: values of `Forces` by scans
@@ -266,12 +269,16 @@ class ForceReader:
         readings, saturated = self.crossbar.fractions(counts)
         return self._invert(readings), self.crossbar.as_pillars(saturated)
 
-    def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None) -> Forces:
+    def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None, progress: Told = id) -> Forces:
         """Forces of n scans from their counts, (n, n_crossings), in the order of `geometry.wiring.crossings`.
 
         A rubber that remembers is followed over `seconds` (n,), each since the scan before; 0 each by default.
+        `progress` is told the scans of each part without its crosstalk, which takes nine tenths of the time.
         """
-        parts = [self.measured(counts[k : k + CHUNK]) for k in range(0, len(counts), CHUNK)]
+        parts = []
+        for k in range(0, len(counts), CHUNK):
+            parts.append(self.measured(counts[k : k + CHUNK]))
+            progress(len(parts[-1][0]))
         whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
         measured_ohm, saturated = whole
         resistance_ohm = self.calibration.as_designed_ohm(measured_ohm) * self._tare_factor
@@ -363,16 +370,19 @@ def replay(
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
     causal: "SensorFilter | None" = None,
+    progress: Told = id,
 ) -> Forces:
-    """Forces of every frame of a recording.
+    """Forces of every frame of a recording; a `FileFormatError` if memory is too small for them.
 
     A calibration is used instead of the one that the recording holds; all else is as of `ForceReader`. What a rubber
     remembers is followed from the first frame on.
     """
+    n_bytes, mend = BYTES_A_COUNT * recording.counts.size, "record shorter pieces, or watch it by speed="
+    require_memory(n_bytes, f"the recording: forces of {len(recording.counts):,} frames", mend)
     if calibration is None and recording.calibration:
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
     reader = ForceReader(recording.info, model.follower(), calibration, crosstalk, causal)
-    found = reader.forces(recording.counts, np.diff(recording.time_s, prepend=recording.time_s[:1]))
+    found = reader.forces(recording.counts, np.diff(recording.time_s, prepend=recording.time_s[:1]), progress)
     return replace(
         found,
         time_s=recording.time_s,

@@ -22,6 +22,7 @@ from typing import IO, Any, Self
 import numpy as np
 from cobs import cobs
 
+from common.bounded import require_memory, require_regular
 from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
@@ -196,7 +197,7 @@ def _require_same_board(info: Info, n_counts: float, bits: int, flags: int, sour
 def _json(content: bytes) -> dict[str, Any]:
     try:
         plain = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         plain = None
     return plain if isinstance(plain, dict) else {}
 
@@ -208,7 +209,9 @@ def read_recording(path: Path, stated: Info | None = None) -> Recording:
     recorder that was killed. `FileFormatError` if the file is missing, no recording, or holds no frame or those of two
     boards.
     """
+    require_regular(path, "give a recording")
     try:
+        require_memory(4 * Path(path).stat().st_size, f"{path}: its frames", "record shorter pieces")
         with Path(path).open("rb") as file:
             if file.read(8).startswith(_EXPORTS):
                 raise FileFormatError(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -272,3 +273,14 @@ def test_an_interrupt_waits_for_the_block_and_then_comes():
         assert came == ["finished", "came"]
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_a_folder_in_the_place_of_a_file_of_the_cache_is_named(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))
+    (tmp_path / "answer-1.npz").mkdir()
+    asked = ("answer.npz", "1", lambda: {"x": np.ones(1)}, read_arrays, write_arrays)
+    assert kept(*asked)[0] == {"x": np.ones(1)}
+    said = r"answer-1\.npz: a folder in the place of a file of the cache: delete it"
+    assert re.search(said, caplog.text)
+    with pytest.raises(FileFormatError, match=said):
+        kept(*asked, needed=True)

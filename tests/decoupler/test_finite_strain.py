@@ -120,7 +120,7 @@ def pressed() -> tuple[Samples, ArrayResponse]:
     return samples, ArrayResponse(design=design, influence_mm_per_n=influence, residual=0.0, unknowns=1, seconds={})
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize("name", [name for name in LAYOUTS if name != "single"])  # which has another electrode
 def test_maps_of_every_layout_follow_the_solver_under_loads_that_they_have_not_seen(name, pressed):
     """From 60 loads: of what the linear response misses on 20 others, in forces and in lengths, a tenth is left."""
     samples, response = pressed

@@ -46,6 +46,23 @@ def test_lines_of_one_load_act_together(tmp_path):
     assert one(tmp_path, "0,0,2.5", header="load,row,col,fz_n").force_n[0, 0].tolist() == [0, 0, 2.5]
 
 
+def test_tables_of_spreadsheets_are_read_as_they_are(tmp_path):
+    """Columns without a name and empty lines are dropped; between semicolons decimals have commas."""
+    path, plain = tmp_path / "loads.csv", ["load,row,col,fz_n,error", "a,0,1,2.5,2 %", "b,1,2,1.5 kg,", "rest,0,0,0,"]
+    written = {
+        "trailing": [f"{line},,," for line in plain],
+        "blank": [plain[0], ",,,,", *plain[1:], ",,,,", ""],
+        "semicolons": [line.replace(",", ";").replace(".", ",") for line in plain],
+        "latin": ["Prüfung;;", *plain],
+    }
+    for lines in (plain, *written.values()):
+        path.write_bytes("\n".join(lines).encode("latin-1"))
+        assert [load.force_n.sum() for load in read_loads(path, DESIGN)] == [2.5, 1.5 * 9.80665, 0.0]
+    path.write_text("\n".join([*plain, "c,0,0,1,,7"]))
+    with pytest.raises(FileFormatError, match="line 5: has more values than the header"):
+        read_loads(path, DESIGN)
+
+
 def test_a_pads_force_is_known_as_well_as_stated(tmp_path):
     """Standard deviation along the force is its error, across it its tilt; neither by default above 1 %."""
     exact = one(tmp_path, "pad,1,2,,,500 g,,2 %,1 %,")

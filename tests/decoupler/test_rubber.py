@@ -1,5 +1,6 @@
 """Rubbers from bench series, which come back, are mended or refused, and a sensor's own: forces without memory."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,10 @@ import pytest
 from common.errors import DesignError, FileFormatError
 from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.belief import READ_S, SensorFilter
-from decoupler.rubber.check import checked, of_range, resistance_from_strain
+from decoupler.rubber.check import checked, doubted, of_range, resistance_from_strain
 from decoupler.rubber.fit import fit_elastic, identified
 from decoupler.rubber.inversion import LawInverse
-from decoupler.rubber.law import numbers_of, settled_stress
+from decoupler.rubber.law import NAMES, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import read_series
 from fem.kernel.law import LAWS
@@ -121,6 +122,16 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
     text = (tmp_path / "rubber.toml").read_text()
     for there, instead, said in (
         ("tau2_s = [", "tau3_s = [", "lacks 'tau2_s'"),
+        ("\ng1 = [1.0000, ", "\ng1 = [2.0000, ", "lacks deviations above 0, and correlations alike across"),
+        ("\ng1 = [1.0000, ", "\ng1 = [1.0, 1.0, ", "or it is no number"),
+        ("\ng1 = 0.", "\ng1 = -0.", "lacks deviations above 0"),
+        ("\ng2 = 0.", "\ng2 = inf # ", "lacks deviations above 0"),
+        ("\ng2 = 0.", "\ng2 = nan # ", "lacks deviations above 0"),
+        ("wires = 4", "wires = 7", "wires=7 must be 2 or 4"),
+        ("wires = 4", "wires = 3", "wires=3 must be 2 or 4"),
+        ("section_mm2 = 40.0", "section_mm2 = 0", "section_mm2=0 must be above 0"),
+        ("\nnoise = ", "\nnoise = -1 # ", "noise=-1 must be from 0"),
+        ("[rubber.unknown]", "[rubber.unsaid]", "unknown key 'unsaid'"),
         ("rest_ohm = ", "rest_ohm = nan # ", "rest_ohm=nan must be a finite number"),
         ("stiffness_n", "stiffness", r"unknown key 'stiffness' in .*cut.toml: \[rubber.elastic\]"),
         ("model = 'yeoh'", "model = 'ogden'", "model='ogden' must be one of linear"),
@@ -128,6 +139,13 @@ def test_a_file_holds_a_rubber_and_designs_extend_it(found, tmp_path):
         (tmp_path / "cut.toml").write_text(text.replace(there, instead))
         with pytest.raises(DesignError, match=said):
             read_rubber(tmp_path / "cut.toml")
+    contrary = np.eye(8)
+    contrary[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = 0.9, 0.9, 0.9, -0.9, 0.9, -0.9
+    rows = "\n".join(f"{name} = {row.tolist()}" for name, row in zip(NAMES, contrary, strict=True))
+    head = text.partition("[rubber.correlations]")[0]
+    (tmp_path / "cut.toml").write_text(f"{head}[rubber.correlations]\n{rows}\n")
+    with pytest.raises(DesignError, match="lacks correlations that do not contradict each other"):
+        read_rubber(tmp_path / "cut.toml")
 
 
 def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found, series):
@@ -213,14 +231,20 @@ def test_of_few_rows_that_alternate_half_are_left(series, tmp_path):
     assert len(read_series(written(tmp_path / "s.csv", few, resistance_ohm=swung(few)))) == 75
 
 
-def test_a_gap_is_bridged_at_rest_and_ends_a_part_in_motion(series, tmp_path):
-    rest = series.part((series.time_s < 20) | (series.time_s > 60))
-    assert "in which strain stayed: bridged" in read_series(written(tmp_path / "a.csv", rest)).notes[0]
-    moving = series.part((series.time_s < 238) | (series.time_s > 300))
-    kept = read_series(written(tmp_path / "b.csv", moving))
-    assert (kept.time_s[0], kept.settled) == (300.5, False)
-    assert "only the longest part" in kept.notes[0]
-    assert "begins at a strain of 0.1" in kept.notes[1]
+@pytest.mark.parametrize("gap_s", [(60, 120), (238, 300)])
+def test_before_and_after_a_gap_are_runs_of_which_nothing_is_known_between(series, gap_s, tmp_path):
+    """At rest as in motion: it may have been taken out. What the second remembers is found with it."""
+    begin_s, end_s = gap_s
+    kept = read_series(written(tmp_path / "a.csv", series.part((series.time_s < begin_s) | (series.time_s > end_s))))
+    assert kept.unsettled == [2 * begin_s]
+    assert kept.settled
+    said = (
+        f"its clock leaps 1 time, first from {begin_s - 0.5:g} s to {end_s + 0.5:g} s: 2 runs of {len(kept)} rows used"
+    )
+    assert kept.notes[0].startswith(said)
+    found = identified(kept)
+    assert (np.abs(found.numbers - numbers_of(MEMORY)) < 4 * np.sqrt(found.covariance.diagonal())).all()
+    assert checked(found, kept).force_from_strain_nrmse_pct < 2
 
 
 def logged(path, series, *runs):
@@ -230,16 +254,101 @@ def logged(path, series, *runs):
     return written(path, series.part(np.concatenate(rows)), time_s=time_s)
 
 
-@pytest.mark.parametrize(("runs", "kept"), [([(0, 900), (900, 3000)], 1), ([(0, 1600), (1600, 3000)], 0)])
-def test_of_a_clock_that_started_again_the_longest_run_is_used(series, runs, kept, tmp_path):
-    """Sorted by time both would mingle. Of one after another what it remembers is found with the rest."""
-    found = read_series(logged(tmp_path / "s.csv", series, *runs))
-    begin_s, end_s = runs[kept]
-    rows = (series.time_s >= begin_s) & (series.time_s < end_s)
-    assert found.time_s == pytest.approx(series.time_s[rows] - begin_s)
-    assert found.strain == pytest.approx(series.strain[rows], abs=1e-7)  # digits of the table
-    assert found.notes[0] == "its clock steps back 1 time, first to 0 s: only the longest run is used"
-    assert (found.settled, len(found.notes)) == (kept == 0, 1 + kept)
+@pytest.mark.parametrize("runs", [[(0, 900), (900, 3000)], [(0, 3000), (0, 3000)], [(900, 1700), (0, 900)]])
+def test_runs_of_a_clock_that_started_again_are_all_used_apart(series, runs, tmp_path):
+    """Sorted by time they would mingle. What each of them remembers when it begins is found with it."""
+    read = read_series(logged(tmp_path / "s.csv", series, *runs))
+    first = 2 * (runs[0][1] - runs[0][0])
+    assert read.unsettled == [0] * (runs[0][0] > 0) + [first]
+    assert read.strain[first:] == pytest.approx(series.part(slice(2 * runs[1][0], 2 * runs[1][1])).strain, abs=1e-7)
+    assert f" s to 0 s: 2 runs of {len(read)} rows used" in read.notes[0]
+    found = identified(read)
+    assert (np.abs(found.numbers - numbers_of(MEMORY)) < 4 * np.sqrt(found.covariance.diagonal())).all()
+
+
+def moving(rate_hz):
+    """Of a strip that moves all the time, by up to 0.3 Hz; without errors but rounded ones."""
+    time_s = np.arange(0.0, 400.0, 1 / 20)
+    waves = np.sin(2 * np.pi * np.outer(time_s, (0.023, 0.041, 0.083, 0.149, 0.293)) + np.arange(5)).sum(axis=1)
+    strain = 0.3 * (waves - waves.min()) / np.ptp(waves) * np.clip((time_s - 10) / 5, 0, 1)
+    return bench(noise=1e-3, programme=(time_s, strain), rate_hz=20.0).part(slice(None, None, round(20 / rate_hz)))
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 10.0])
+def test_motion_that_few_rows_show_is_no_jitter(rate_hz, tmp_path):
+    """The force follows it. Between rows a curve is followed: straight ways would be too short."""
+    read = read_series(written(tmp_path / "s.csv", moving(rate_hz)))
+    assert (read.notes, read.parts) == ((), 8 if rate_hz < 5 else 1)
+    found = identified(read)
+    assert (np.abs(found.numbers - numbers_of(MEMORY)) < 4 * np.sqrt(found.covariance.diagonal())).all()
+
+
+@pytest.mark.parametrize("stamp", [np.floor, lambda t: np.floor(t + 0.37), lambda t: 0.5 * np.floor(2 * t)])
+def test_rows_that_share_the_time_of_a_coarse_clock_are_spread(stamp, tmp_path):
+    """Their times are those between its ticks, but for a constant."""
+    true = moving(10.0)
+    read = read_series(written(tmp_path / "s.csv", true, time_s=stamp(true.time_s)))
+    assert len(read) == len(true)
+    assert np.ptp(read.time_s - true.time_s) < 0.011
+    assert "rows share each time: spread over" in read.notes[0]
+
+
+def test_a_mechanical_test_gives_the_law_of_the_force(series, tmp_path):
+    path = written(tmp_path / "s.csv", series, resistance_ohm=None)
+    read = read_series(path)
+    found, whole = identified(read, section_mm2=40.0), identified(series, section_mm2=40.0)
+    assert (found.elastic.model, found.memory) == (whole.elastic.model, Memory())
+    assert found.young_mpa == pytest.approx(whole.young_mpa, rel=1e-6)  # digits of the table
+    assert found.elastic.prony.share == pytest.approx(whole.elastic.prony.share, rel=1e-6)
+    assert [what for what, _ in found.unknown] == ["all of the resistance", "compression"]
+    assert checked(found, read).resistance_nrmse_pct is None
+    write_rubber(found, tmp_path / "rubber.toml")
+    design = read_design(tmp_path / "rubber.toml")
+    assert design.pillar_material.prony.share == pytest.approx(found.elastic.prony.share, rel=1e-5)
+    assert (read_rubber(tmp_path / "rubber.toml").rest_ohm, design.resistivity_ohm_mm) == (None, 4000.0)
+
+
+def swapped_marks(text):
+    return text.translate(str.maketrans(",.", ".,"))
+
+
+#: how instruments and spreadsheets write a table of these cells
+WRITTEN = {
+    "semicolons": lambda rows: "\n".join(";".join(row).replace(".", ",") for row in rows),
+    "tabs": lambda rows: "\n".join("\t".join(row).replace(".", ",") for row in rows),
+    "quoted commas": lambda rows: "\n".join(",".join(f'"{cell.replace(".", ",")}"' for cell in row) for row in rows),
+    "thousands": lambda rows: "\n".join(",".join(f'"{grouped(cell)}"' for cell in row) for row in rows),
+    "european": lambda rows: "\n".join(";".join(swapped_marks(grouped(cell)) for cell in row) for row in rows),
+    "spaces": lambda rows: "\n".join(";".join(grouped(cell).replace(",", "\xa0") for cell in row) for row in rows),
+    "dates": lambda rows: "\n".join(";".join(["12.03.2024", *row]).replace(".", ",", 9) for row in rows),
+    "units": lambda rows: "\n".join(map(",".join, [rows[0], ["(s)", "[mm/mm]", "N", "(Ω)"], *rows[1:]])),
+    "blank lines": lambda rows: "\n\n,,,\n" + "\n,,,\n\n".join(map(",".join, rows)),
+    "above": lambda rows: "sep=,\nProbe 7;alt\n# 1,2\n" + "\n".join(map(",".join, rows)),
+    "trailing": lambda rows: "\n".join(",".join([*row, "", ""]) for row in rows),
+    "carriage returns": lambda rows: "\r".join(map(",".join, rows)),
+    "utf-16": lambda rows: "\n".join(map(",".join, rows)).encode("utf-16"),
+    "gb2312": lambda rows: ("试验名称\n" + "\n".join(map(",".join, rows))).encode("gb2312"),
+    "latin-1": lambda rows: ("Prüfung\n" + "\n".join(map(",".join, rows))).encode("latin-1"),
+    "minus": lambda rows: "\n".join(map(",".join, rows)).replace("-", "\u2212"),
+}
+
+
+def grouped(cell):
+    return f"{float(cell):,.7f}" if cell[-1].isdigit() else cell
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_tables_are_read_however_they_are_written(series, name, tmp_path, caplog):
+    few = series.part(slice(440, 590))
+    plain = written(tmp_path / "plain.csv", replace(few, resistance_ohm=1000 * few.resistance_ohm))
+    rows = [line.split(",") for line in plain.read_text().splitlines()]
+    content = WRITTEN[name](rows)
+    (tmp_path / "s.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    read, true = read_series(tmp_path / "s.csv"), read_series(plain)
+    for quantity, values in true.arrays.items():
+        assert read.arrays[quantity] == pytest.approx(values, rel=1e-6, abs=1e-6)
+    assert read.notes == true.notes
+    assert [f"read as {name}" in said for said in caplog.messages] == [True] * (name in ("gb2312", "latin-1"))
 
 
 def test_rows_that_are_only_out_of_order_are_sorted(series, tmp_path):
@@ -253,6 +362,17 @@ def test_rows_that_are_only_out_of_order_are_sorted(series, tmp_path):
 
 REFUSED = {
     "ms for s": (lambda s: {"time_s": 1e3 * s.time_s}, "name the column time_ms"),
+    "µs for s": (lambda s: {"time_s": 1e6 * s.time_s}, "name the column time_us"),
+    "ns for s": (lambda s: {"time_s": 1e9 * s.time_s}, "name the column time_ns"),
+    "hours for s": (lambda s: {"time_s": s.time_s / 3600}, "name the column time_h"),
+    "ms for min": (lambda s: {"time_s": None, "time_min": 1e3 * s.time_s}, "name the column time_ms"),
+    "days for s": (lambda s: {"time_s": s.time_s / 86400}, "name the column time_d"),
+    "a second": (lambda s: {"time_s": s.time_s / 1e9}, "as no bench reads"),
+    "two wires": (
+        lambda s: {"two_wire_ohm": 0.6 * s.resistance_ohm},
+        "two_wire_ohm is below the reading by four wires",
+    ),
+    "two alone": (lambda s: {"resistance_ohm": None, "two_wire_ohm": s.resistance_ohm}, "two_wire_ohm stands beside"),
     "kΩ": (lambda s: {"resistance_ohm": s.resistance_ohm / 1e3}, "name the column resistance_kohm"),
     "percent": (lambda s: {"strain": 100 * s.strain}, "name it strain_pct"),
     "no strain": (lambda s: {"strain": 0.0 * s.strain}, "a specimen that is not stretched"),
@@ -273,12 +393,40 @@ def test_what_cannot_be_is_refused_in_one_line(series, name, tmp_path):
     assert "\n" not in str(refused.value)
 
 
-def test_gaps_in_motion_throughout_and_short_runs_alone_are_refused(series, tmp_path):
-    holes = written(tmp_path / "s.csv", series.part(series.time_s % 60 < 30))
-    short = logged(tmp_path / "t.csv", series, *((t, t + 40) for t in range(200, 500, 40)))
-    for path, said in ((holes, "without gaps"), (short, "no run has 100 rows: record it again in one go")):
-        with pytest.raises(FileFormatError, match=said):
-            read_series(path)
+def test_a_series_with_gaps_in_motion_throughout_is_refused(series, tmp_path):
+    holes = series.part(series.time_s % 60 < 30)
+    with pytest.raises(FileFormatError, match="record it again in one go, without gaps"):
+        read_series(written(tmp_path / "s.csv", holes))
+
+
+def test_runs_of_a_clock_that_are_all_short_are_refused(series, tmp_path):
+    with pytest.raises(FileFormatError, match="too few runs have 100 rows: record it again in one go"):
+        read_series(logged(tmp_path / "s.csv", series, *((t, t + 40) for t in range(200, 500, 40))))
+
+
+DOUBTED = {
+    "minutes": (lambda s: {"time_s": s.time_s / 60}, "contacts heal in 0.[12][0-9]* s, in silicone in 6 to 12"),
+    "grams": (lambda s: {"force_n": s.force_n * 102}, "E is 3[0-9.]* MPa, silicone's 0.01 to 10"),
+    "MN": (lambda s: {"force_n": s.force_n * 1e-6}, "E is 3[0-9.]*e-07 MPa"),
+    "GΩ": (lambda s: {"resistance_ohm": s.resistance_ohm * 1e8}, "ρ is .* Ω mm, no filled silicone's"),
+    "no force": (
+        lambda s: {"force_n": np.random.default_rng(0).standard_normal(len(s))},
+        "misses 1[0-9] % .* of force",
+    ),
+    "no strip": (lambda s: {"resistance_ohm": 900 + np.random.default_rng(0).uniform(size=len(s))}, "of resistance"),
+    "conductance": (lambda s: {"resistance_ohm": 1e6 / s.resistance_ohm}, "is it a conductance"),
+    "contacts": (lambda s: {"two_wire_ohm": 1.5 * s.resistance_ohm}, "two wires read less than four do"),
+    "none": (lambda s: {}, "^$"),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTED)
+def test_a_rubber_that_no_silicone_is_is_doubted(series, name):
+    change, says = DOUBTED[name]
+    few = series.part(slice(0, 4000))
+    few = replace(few, **change(few)).averaged(2)
+    found = identified(few, section_mm2=40.0, electrodes_mm=20.0, length_mm=40.0)
+    assert re.search(says, doubted(found, few, checked(found, few), True))
 
 
 SENSORS_MEMORY = Memory(a=(0.575, 0.204), b_lengthen=2.47, b_shorten=9.52, tau_s=(2.2, 165.0), g1=1.88)

@@ -1,16 +1,19 @@
 """The array's response by its methods: they agree, know their error, and are found again in the cache."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from common.errors import DesignError
-from fem.array.closed_forms import influence_range
+from common.errors import DesignError, FileFormatError
+from common.storage.netcdf import read_netcdf, write_netcdf
+from fem.array.closed_forms import influence_range, layer_response
 from fem.array.coupled_cells import CoupledArray, TruncatedArray
 from fem.array.design_cell import DesignCell
+from fem.array.response import INFLUENCE_DIMS, read_response, write_response
 from fem.array.solving import (
     ResponseSettings,
     array_response,
@@ -164,3 +167,19 @@ def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(shared_cache, m
     unit = check_unit(UNIT)
     assert 1e-4 < unit.difference < unit.stated < 0.05
     assert check_unit(UNIT) == replace(unit, reused=True)
+
+
+def test_a_response_has_one_hash_whatever_threads_do_to_its_last_digits_and_files_of_before_are_read(tmp_path):
+    made = layer_response(SensorDesign(array=Array(rows=2, cols=2)))
+    shaken = made.influence_mm_per_n * (1 + 1e-13 * np.random.default_rng(0).standard_normal((2, 2, 2, 3, 2, 2, 3)))
+    assert replace(made, influence_mm_per_n=shaken).content_hash == made.content_hash
+    for changed in (1.00001 * shaken, shaken.swapaxes(0, 1), 0 * shaken, np.nan * shaken):
+        assert replace(made, influence_mm_per_n=changed).content_hash != made.content_hash
+    path = tmp_path / "r.nc"
+    write_response(made, path)
+    assert read_response(path).content_hash == made.content_hash
+    old = read_netcdf(path, {"influence_mm_per_n": INFLUENCE_DIMS}, "")
+    for stated, is_read in ((made.hashed(np.asarray), True), ("0123456789abcdef", False)):
+        write_netcdf(replace(old, attrs={**old.attrs, "content_hash": stated}), path)
+        with nullcontext() if is_read else pytest.raises(FileFormatError, match="content does not match its hash"):
+            assert np.array_equal(read_response(path).influence_mm_per_n, made.influence_mm_per_n)

@@ -250,3 +250,13 @@ def test_round_pillars_fill_their_circle_and_widths_of_their_own_count():
         shares = pillar_shares(unit, lines[0], lines[0], lines[1])
         assert 0 <= shares.min() <= shares.max() <= 1
         assert shares.sum() * 0.35**2 == pytest.approx(unit_solid(unit).volume, rel=1e-4)
+
+
+def test_pillars_that_meet_in_one_place_are_counted_before_all_their_overlaps_are():
+    """Of 20 on one electrode there would be a million."""
+    around = [(round(1.5 * np.cos(k), 3), round(1.5 * np.sin(k), 3)) for k in range(20)]
+    upper = tuple(Electrode(f"U{k}", place) for k, place in enumerate(around))
+    star = Layout(upper, (Electrode("L0", (0.0, 0.0)),), tuple(Pillar(f"p{k}", "L0", f"U{k}") for k in range(20)))
+    line = np.array([-1.0, 1.0])
+    with pytest.raises(DesignError, match="too many pillars of a unit lie in one place: join fewer at an electrode"):
+        pillar_shares(Unit(layout=star, pillar_width_mm=0.5, electrode_mm=0.5), line, line, line + 1.0)

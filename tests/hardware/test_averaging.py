@@ -36,6 +36,8 @@ def test_an_open_pillar_is_not_a_number_and_a_short_one_is_refused():
     state[3, 4, 1] = 3e3  # below the feedback resistor
     with pytest.raises(FileFormatError, match=r"pillar x of row 3, col 4 reads full scale, .* than 4700 Ω"):
         averaged(crossbar.counts(state[None]), crossbar)
+    with pytest.raises(FileFormatError, match="every pillar reads 0, as if open"):  # with no word of numpy's before
+        averaged(np.zeros((5, 108), int), crossbar)
 
 
 def counts_of(ohms, crossbar, generator):

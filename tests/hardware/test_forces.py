@@ -183,3 +183,15 @@ def test_a_slice_of_forces_is_forces_with_all_that_is_known_of_them(pressed):
             for name, values in vars(asked.wrench).items():
                 assert getattr(part.wrench, name) == pytest.approx(values[which], rel=1e-6, nan_ok=True), name
     assert fresh.description is fresh[0].description
+
+
+def test_forces_of_a_recording_are_bounded_before_they_begin_and_told_as_they_come(monkeypatch):
+    recording = parse_recording(recording_from_resistances(np.tile(REST_OHM, (10, 1, 1, 1)), INFO))
+    monkeypatch.setattr("hardware.readout.forces.CHUNK", 4)
+    told = []
+    replay(recording, Shares(), progress=told.append)
+    assert told == [4, 4, 2]
+    monkeypatch.setattr("common.bounded.MEMORY_SHARE", 0.0)
+    with pytest.raises(FileFormatError, match=r"forces of 10 frames take 0\.0 GB .*: record shorter pieces, or watch"):
+        replay(recording, Shares(), progress=told.append)
+    assert told == [4, 4, 2]

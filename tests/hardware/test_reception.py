@@ -147,3 +147,17 @@ def test_times_of_a_backlog_are_apart_as_its_scans_are_and_never_repeat(receptio
     steps_s = np.diff([scan.time_s for scan in scans])
     assert (steps_s > 0).all()
     assert steps_s[:9] == pytest.approx(1 / INFO.rate_hz, abs=1e-6)
+
+
+@pytest.mark.parametrize("pace", [10.0, 2.0, 0.5, 0.1])
+def test_a_clock_that_is_far_off_is_told_and_one_that_is_caught_up_with_is_not(pace):
+    """What the drift is bound to hides it: frames at 150 Hz of the board's clock come 10 times as fast, or as slow."""
+    clock, (true_s, device_us, received_s) = DeviceClock(), late_arrivals(60, drift=0.0)
+    for device, true, received in zip(device_us.tolist(), true_s, received_s, strict=True):
+        clock.add(device, received + (true - 1000) * (1 / pace - 1))
+    assert clock.pace == pytest.approx(pace, rel=1e-3)
+    clock.restart()
+    assert clock.pace == 1.0
+    for device, true, received in zip(device_us.tolist(), true_s, received_s, strict=True):
+        clock.add(device, max(received, 1003.0 + 0.1 * (true - 1000)))  # a second's frames in a tenth of one
+    assert clock.pace == pytest.approx(1.0, abs=1e-3)

@@ -5,13 +5,16 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import psutil
 import pytest
 
 from tests.docs.terminal import ROOT
 from tests.house import House
+from tripillar.cli.door import command_of
+from tripillar.face.caller import current
+from tripillar.face.inputs import job
 from tripillar.terminal.progress import Bars
 
 BEGIN = "import os, signal, sys, time\nfrom tripillar.terminal import interrupts\ninterrupts.install()\n"
@@ -135,3 +138,23 @@ def test_a_signal_ends_what_swallows_it_and_leaves_nothing(tmp_path, number, cod
     assert (done.returncode, done.stderr) == (code, "tripillar: interrupted.\n")
     assert not psutil.pid_exists(int(started)) or psutil.Process(int(started)).status() == psutil.STATUS_ZOMBIE
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have no such locale")
+def test_names_that_are_no_ascii_are_read_and_written_where_the_locale_knows_no_others(tmp_path):
+    house, plain = House(tmp_path), {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    (tmp_path / "small.toml").rename(tmp_path / "küche.toml")
+    command = house.command("response", "--design", "küche.toml", "--out", "größe.nc", "--method", "layer", "-q")
+    done = subprocess.run(command, cwd=tmp_path, env=house.environment | plain, capture_output=True, check=False)
+    assert (done.returncode, done.stderr.decode()) == (0, "größe.nc\n")
+    assert (tmp_path / "größe.nc").is_file()
+
+
+def test_a_job_that_is_ended_as_soon_as_it_is_announced_ends_in_peace():
+    @job()
+    @contextmanager
+    def announced():
+        current().answer(dict, lambda: signal.raise_signal(signal.SIGTERM) or [])
+        yield "port"
+
+    assert command_of(announced)(verbosity=False) == 0

@@ -227,6 +227,7 @@ cad --out cad --design data.nc -> data.nc: not a text file
 solve small.toml -> the table [body] is missing
 solve idle.toml --json --vtu never.vtu -> add a [[probe]]
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
+response --out r.csv --design small.toml -> --out r.csv must be a file that ends in .nc
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
 press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
 dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
@@ -240,7 +241,7 @@ dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires ar
 train --touch --design stiff.toml --shape small.toml -o m.safetensors -> --shape is of bare rubber
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
-identify --data semi.csv -o m.safetensors -> separate them by commas, decimals by points
+identify --data semi.csv -o m.safetensors -> semi.csv: has no column force_0_0_x_n of 1 × 1 units
 evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
 evaluate --model model.safetensors --data wide.nc -> array.pitch_mm: model 15, data 17
 evaluate --folds 10 --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
@@ -249,7 +250,7 @@ identify --data data.nc -o x.safetensors --pairs 5 -> --pairs 5 must be at most 
 identify --data data.nc --design square.toml -o x.safetensors -> data.nc is of 1 × 2 units, the design of 3 × 3
 identify --as-designed --port text.txt -o x.json -> a recording needs --loads with the columns from_s and to_s
 rubber -o r.toml -> give --data of a bench series
-rubber --data semi.csv -> separate them by commas, decimals by points
+rubber --data semi.csv -> semi.csv: the column time_s is missing
 rubber --data bare.csv -> bare.csv: the column strain is missing (or strain_pct, displacement_mm); it has time_s,
 rubber --data bare.csv --columns speed=v -> --columns speed=... names no quantity
 rubber --data bare.csv --check small.toml -o r.toml -> --check judges a rubber that there is

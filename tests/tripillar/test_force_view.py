@@ -88,7 +88,7 @@ def scan(k, us=0, run=0):
 def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(monkeypatch, capsys):
     monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: map(scan, range(RATE_HZ)))
     scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, stats=LinkStatistics(dropped=3)), Model()
-    model.errors = ReadingError(noise=0.01)
+    object.__setattr__(model, "errors", ReadingError(noise=0.01))
     sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
     sensor._reader.fault_test, sensor._faults = None, {"row wire 3 stuck": 1}
     sensor._reader._weights = wrench_weights(PLACES, ("z",))
@@ -117,3 +117,21 @@ def test_the_rate_is_the_boards_while_a_backlog_is_caught_up_with():
     scans = [scan(0, us=5), *(scan(0, (2**32 - 20_000 + k * 10**6 // RATE_HZ) % 2**32, run=1) for k in range(64))]
     assert force_view.pace(scans) == pytest.approx(RATE_HZ, rel=1e-4)
     assert force_view.pace(scans[:1]) == force_view.pace([]) == 0.0
+
+
+def test_a_line_on_trouble_says_when_and_a_clock_that_is_wrong_is_said(monkeypatch, capsys):
+    troubles = iter(["the port is gone: plug it in again.", None])
+    scanner = SimpleNamespace(info=Info(rows=1, cols=2), stats=LinkStatistics())
+
+    def silence(scanner, seconds):
+        for scanner.trouble in troubles:
+            yield None
+
+    monkeypatch.setattr(force_view, "scans_within", silence)
+    monkeypatch.setattr(force_view.time, "time", lambda: 1.8e9)
+    force_view.print_lines(LiveSensor(scanner, Model(), SensorCalibration.as_designed(1, 2)), 1.0)
+    first, last = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert first == {"time_s": 1.8e9, "trouble": "the port is gone: plug it in again."}
+    assert last == {"time_s": 1.8e9, "trouble": None}
+    assert [LinkStatistics(clock_pace=pace).clock_said for pace in (1.0, 1.01, 0.95)] == ["", "", ""]
+    assert LinkStatistics(clock_pace=10.0).clock_said == "the board's clock runs 10 times as fast as this computer's"

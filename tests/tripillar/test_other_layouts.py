@@ -93,10 +93,12 @@ def table(pillars: str, electrodes: str = "U1 -1 -1, U2 -1 1, L1 -1 -1, L2 1 -1"
 
 PAPERS = "z L1 U1, x L2 U1, y L1 U2"
 LINE = "U1 -1 0, U2 1 0, U3 0 1, L1 -1 0, L2 0 -1"
-GRID = [(x, y) for x in range(10) for y in range(10)]
-HUNDRED = table(
-    ", ".join(f"p{k} L{k} U{k}" for k in range(100)),
-    ", ".join(f"{level}{k} {0.2 * x - 0.9} {0.2 * y - 0.9}" for level in "UL" for k, (x, y) in enumerate(GRID)),
+HUNDRED, MANY = (
+    table(
+        ", ".join(f"p{k} L{k} U{k}" for k in range(10 * n)),
+        ", ".join(f"{level}{k} {k // n / 5 - 0.9} {k % n / 5 - 0.9}" for level in "UL" for k in range(10 * n)),
+    )
+    for n in (10, 3)
 )
 BAD = [
     (table("z L1 U1, x L2 U9, y L1 U2"), "pillar x joins L2 and U9: it must stand on one of L1, L2"),
@@ -121,7 +123,8 @@ BAD = [
     ('pillar = [{name="z", from="L", to="U"}]\n', "end at one of the upper electrodes, of which there are none"),
     (table(PAPERS + " ,length_mm=3"), "unknown key 'length_mm' in [[pillar]] 3; known are name, from, to"),
     ("layout = 'song2018'\n" + table(PAPERS), "layout = 'song2018' and [[electrode]]: give one of"),
-    (HUNDRED, "span_mm=10 lets pillars p1 and p2 of a unit merge: it must be above 20"),
+    (HUNDRED, "a unit has more than 64 electrodes: give fewer"),
+    (MANY, "span_mm=10 lets pillars p1 and p2 of a unit merge: it must be above 20"),
 ]
 
 

@@ -121,10 +121,12 @@ def command_of(job: Job) -> Callable[..., int]:
             if inspect.isgeneratorfunction(inspect.unwrap(job)):
                 seconds = options.pop("seconds", math.inf)
                 require_numbers({"seconds": seconds})
-                with job(*arguments, **options):
+                from hardware.session import ended_by_signal
+
+                with job(*arguments, **options), ended_by_signal() as is_ended:  # before anybody knows that it runs
                     with bars:  # they end: what is waited for now has none
                         typed.show(indent=None)
-                    wait(seconds)
+                    wait(seconds, is_ended)
             else:
                 with bars:
                     job(*arguments, **options)
@@ -172,11 +174,8 @@ def refusals(flags: Mapping[str, str]) -> Iterator[None]:
         raise DesignError(spelled(str(error), flags)) from error
 
 
-def wait(seconds: float) -> None:
+def wait(seconds: float, is_ended: Callable[[], bool]) -> None:
     """Wait for the end of the time, Ctrl-C or a termination."""
-    from hardware.session import ended_by_signal
-
     end_s = time.monotonic() + seconds
-    with ended_by_signal() as is_ended:
-        while not is_ended() and time.monotonic() < end_s:
-            time.sleep(0.1)
+    while not is_ended() and time.monotonic() < end_s:
+        time.sleep(0.1)

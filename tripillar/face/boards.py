@@ -15,6 +15,8 @@ from tripillar.face.exporting import damage
 from tripillar.face.inputs import BOARD, LINES, WIRES, File, Flag, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import STREAMS, AskedStreams
 
+SHORT = 10_000  #: frames of a recording whose forces take a second or a few
+
 
 @job()
 def info(
@@ -283,7 +285,9 @@ def replay(
         return None
     own = None if calibration is None else stages.read_calibration(Path(calibration))
     causal = stages.follows(decoupler, rubber)
-    hashes, found = stages.hashes_of(decoupler), stages.replay(recorded, decoupler, own, crosstalk, causal)
+    hashes, n = stages.hashes_of(decoupler), len(recorded.counts)
+    advance = caller.bars.begin("forces", total=n) if n > SHORT else lambda scans, _: None
+    found = stages.replay(recorded, decoupler, own, crosstalk, causal, lambda scans: advance(scans, ""))
     caller.say(damage(source, recorded))
     if len({hashes.get("design_hash"), recorded.made_from.get("design_hash")} - {None, ""}) == 2:
         caller.say("warning: recorded for a model of another design: its forces are those of the design of model=")

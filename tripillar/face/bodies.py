@@ -185,7 +185,7 @@ def solve(
     return solution
 
 
-@job(out="")
+@job(out=".nc")
 def response(
     design: DesignLike | None = None,
     *,

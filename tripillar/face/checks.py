@@ -1,6 +1,6 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
-from common.errors import DesignError
+from common.errors import DesignError, require_type
 from dataset import SampleError, Samples
 from dataset.samples import AnySamples
 from decoupler.data.columns import COMPONENTS, Columns, Component
@@ -13,6 +13,7 @@ from decoupler.model.decoupler import Decoupler
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from tripillar.face.caller import current
+from tripillar.pipeline.stage import respond
 
 
 def joint_model(response: ArrayResponse | None) -> SensorModel | None:
@@ -84,3 +85,25 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     few = drawn(data)
     forced = heed(doubt(few, component, own), name, force=True)
     mention(few, name, component, own, bool(forced) or isinstance(decoupler, DecouplerAtStrain))
+
+
+def fits(design: SensorDesign, samples: AnySamples) -> bool:
+    """Samples are of an array of the design's size and layout."""
+    return (*samples.shape, samples.layout) == (design.array.rows, design.array.cols, design.unit.layout)
+
+
+def response_of(
+    samples: AnySamples, name: str, design: SensorDesign | None, given: ArrayResponse | None
+) -> ArrayResponse | None:
+    """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
+    if given is None:
+        if design is None or not fits(design, samples):
+            return None
+        return respond(design, current().bars)[1]
+    require_type("response", given, ArrayResponse, "solve one with tripillar.response, or give None")
+    if not fits(given.design, samples) or (design is not None and given.design != design):
+        raise DesignError(
+            f"the response is of another design than {name}: solve one with tripillar.response of their design, or "
+            "give none."
+        )
+    return given

@@ -87,6 +87,8 @@ def export(
     else:
         to_write("out", path, ".csv", (source,))
         samples = stages.read_samples(source)
+        if samples.design is not None:
+            caller.say(f"{path} states no design: give design=FILE to what learns from it")
         advance = caller.bars.begin("export", total=len(samples))
         columns = stages.write_table(samples, path, lambda n: advance(n, ""))
         result |= {"samples": len(samples), "columns": len(columns)}

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args
 
+from common.bounded import require_regular
 from common.errors import ArgumentError, DesignError, FileFormatError
 from common.quantity import quantity
 from common.storage.files import require_file, require_folder
@@ -36,7 +37,6 @@ Protocol = Literal[
     "light-fz", "light-fx", "light",
 ]  # fmt: skip
 Circuit = Literal["zero-potential", "grounded", "divider", "four-wire"]  #: that reads an array
-MAX_HEADER = 2**16  #: bytes of a table that are looked at for its separators
 TIMES = {"seconds": math.inf, "timeout": 3600.0}  #: arguments that must be above 0, and the most that they may be [s]
 COUNTS = ("workers", "trials", "best", "pairs")  #: arguments that must be at least 1
 P = ParamSpec("P")
@@ -183,19 +183,13 @@ def require_numbers(given: Mapping[str, Any]) -> None:
 
 
 def require_there(source: Any) -> None:
-    """Refuse a file to read, or several, that are not there, and a table whose columns are separated by semicolons."""
+    """Refuse a file to read, or several, that are not there."""
     for path in source if isinstance(source, list | tuple) else [source]:
         if not isinstance(path, Path | str):
             continue
         if not Path(path).exists():
             raise FileFormatError(f"{path}: no such file.")
-        if Path(path).suffix == ".csv" and Path(path).is_file():
-            with Path(path).open("rb") as file:
-                header = file.readline(MAX_HEADER)
-            if b";" in header and b"," not in header and header.lower() != header.upper():  # not of plain numbers
-                raise FileFormatError(
-                    f"{path}: its columns are separated by semicolons: separate them by commas, decimals by points."
-                )
+        require_regular(Path(path), "give a file")
 
 
 def to_write(name: str, path: "File | None", endings: str = "", read: Sequence[Any] = ()) -> None:

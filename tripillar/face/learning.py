@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from common.errors import DesignError, require_type
+from common.errors import DesignError
 from decoupler.model.settings import Feature, Net, Trainer
 from geometry.design import SensorDesign
 from geometry.design import Unit as PillarUnit
@@ -175,6 +175,8 @@ def train(
     samples, name = _together(sources), name_of(sources[0], "samples")
     few = stages.enough(samples, seed, name, "train the network")
     parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
+    if solved is None and samples.design is None and design is None:
+        caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
     model, seconds = replace(model, made_from=model.made_from | forced | _at_rest(few)), caller.bars.seconds()
@@ -278,7 +280,7 @@ def evaluate(
     for label, known in ((name, samples.design), (named, decoupler.design)):
         if known is None:
             caller.say(f"{label} states no design that can be read: only the array's size was compared")
-    solved = _response(samples, name, samples.design or decoupler.design, response) if limits else None
+    solved = stages.response_of(samples, name, samples.design or decoupler.design, response) if limits else None
     stages.warn_of_test(decoupler, named, samples, name, solved)
     assessed = Evaluation(stages.assess(decoupler, samples, solved))
     _mention_untrusted(decoupler)
@@ -400,7 +402,7 @@ def _checked(
     parts = stages.component_named(named)
     sensor = samples.design or design
     is_stated = sensor is not None or response is not None
-    if not is_stated and _fits(SensorDesign(), samples):
+    if not is_stated and stages.fits(SensorDesign(), samples):
         sensor = SensorDesign()
     require_told(PillarUnit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
@@ -408,7 +410,7 @@ def _checked(
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
     if feature == "inverse" or (is_automatic and net != "plain"):
-        solved = _response(samples, name, sensor, response)
+        solved = stages.response_of(samples, name, sensor, response)
     is_finite = samples.is_finite.any()
     stages.require_heeded(samples, name, design, named == "all" and solved is not None, (hidden, net, feature))
     _, network, _, _ = stages.suited(samples, named, network, None, solved)
@@ -421,30 +423,9 @@ def _checked(
     # a guessed design that does not explain the samples cannot judge them
     judging = solved if solved is not None and (is_stated or chosen == "inverse") else None
     if judging is None and is_stated:
-        judging = _response(samples, name, sensor, response)
+        judging = stages.response_of(samples, name, sensor, response)
     judge = stages.joint_model(judging)
     forced |= stages.heed(None if forced else stages.doubt(samples, parts, judge), name, force)
     current().say(note)
     stages.mention(samples, name, parts, judge, bool(forced or is_finite))
     return named, network, solved, forced
-
-
-def _fits(design: SensorDesign, samples: "stages.AnySamples") -> bool:
-    return (*samples.shape, samples.layout) == (design.array.rows, design.array.cols, design.unit.layout)
-
-
-def _response(
-    samples: "stages.AnySamples", name: str, design: SensorDesign | None, given: "stages.ArrayResponse | None"
-) -> "stages.ArrayResponse | None":
-    """The response that is given, or that of the samples' design, solved if need be; None if it is unknown."""
-    if given is None:
-        if design is None or not _fits(design, samples):
-            return None
-        return stages.respond(design, current().bars)[1]
-    require_type("response", given, stages.ArrayResponse, "solve one with tripillar.response, or give None")
-    if not _fits(given.design, samples) or (design is not None and given.design != design):
-        raise DesignError(
-            f"the response is of another design than {name}: solve one with tripillar.response of their design, or "
-            "give none."
-        )
-    return given

@@ -4,10 +4,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-from common.errors import DesignError
+from common.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import File, Flag, job
+
+LONG = 5_000_000  #: bytes of a series that takes more than a second to read
 
 
 @job(out=".toml", next_test=".csv", picture=".png")
@@ -28,6 +30,7 @@ def rubber(
     """Find what a rubber remembers from a bench series: its resistance and force under strain; or check it on another.
 
     A series is a table (CSV) with the columns time_s, strain, force_n, resistance_ohm of one strip; docs/rubber.md.
+    Without the last it gives the law of the force alone.
     `tripillar design --extend` makes a sensor of the rubber.
 
     Parameters
@@ -53,7 +56,7 @@ def rubber(
     wires : int
         Number of wires that read the resistance: 4, or 2, whose readings have the contacts in them.
     force : bool
-        Take units as they are given although they look wrong.
+        Take units as they are given although they look wrong, and write a law that misses over 20 % of the range.
 
     Returns
     -------
@@ -80,9 +83,14 @@ def rubber(
         stages.write_test(Path(str(next_test)), None)
         caller.answer(lambda: {"file": str(next_test)}, "", next_test)
         return None
+    if Path(data).stat().st_size > LONG:
+        caller.bars.begin("series", total=1)
     series = stages.read_series(Path(data), _named(columns), length_mm, force)
+    caller.bars.begin("rubber", total=1)(0, f"{len(series):,} rows")
     for note in series.notes:
         caller.say(f"warning: {data}: {note}")
+    if picture is not None and series.resistance_ohm is None:
+        raise DesignError("picture= is of resistances, which a mechanical test has none of: leave it out.")
     if check is not None:
         known = stages.read_rubber(Path(check))
         judged = stages.check_rubber(known, series)
@@ -91,13 +99,16 @@ def rubber(
         caller.answer(lambda: asdict(judged), _missed(asdict(judged)), picture)
         return judged
     found = stages.rubber_of(series, wires, section_mm2, electrodes_mm, length_mm)
+    judged = stages.check_rubber(found, series)
+    if not force and (said := stages.doubted(found, series, judged, out is not None)):
+        raise FileFormatError(f"{data}: {said}; if it is right, add force=True.")
     if out is not None:
         stages.write_rubber(found, Path(out))
     if next_test is not None:
         stages.write_test(Path(next_test), found)
     if picture is not None:
         stages.draw_rubber(found, series, Path(picture))
-    result = _as_plain(found, series)
+    result = _as_plain(found, series, judged)
     caller.answer(lambda: result, _said(result), out, next_test, picture)
     return found
 
@@ -110,9 +121,10 @@ def _named(columns: str) -> dict[str, str]:
     return {name.strip(): own.strip() for name, _, own in pairs}
 
 
-def _as_plain(found: "stages.Rubber", series: "stages.Series") -> dict[str, Any]:
+def _as_plain(found: "stages.Rubber", series: "stages.Series", judged: "stages.RubberCheck") -> dict[str, Any]:
+    known = found.parameters if found.rest_ohm is not None else {}
     return {
-        "parameters": {name: list(pair) for name, pair in found.parameters.items()},
+        "parameters": {name: list(pair) for name, pair in known.items()},
         "elastic": asdict(found.elastic),
         "young_mpa": found.young_mpa,
         "resistivity_ohm_mm": found.resistivity_ohm_mm,
@@ -121,7 +133,7 @@ def _as_plain(found: "stages.Rubber", series: "stages.Series") -> dict[str, Any]
         "contact_spread": found.contact_spread,
         "noise": found.noise,
         "correlation_s": found.correlation_s,
-        **asdict(stages.check_rubber(found, series)),
+        **asdict(judged),
         "unknown": [{"what": what, "test": test} for what, test in found.unknown],
         "notes": list(series.notes),
     }
@@ -141,7 +153,7 @@ def _said(result: dict[str, Any]) -> str:
 
 
 def _missed(judged: dict[str, Any]) -> str:
-    return (
-        f"resistance from strain misses {judged['resistance_nrmse_pct']:.1f} % of this series' range, "
-        f"force from strain {judged['force_from_strain_nrmse_pct']:.1f} %"
-    )
+    ohm, force = judged["resistance_nrmse_pct"], f"{judged['force_from_strain_nrmse_pct']:.1f} %"
+    if ohm is None:
+        return f"force from strain misses {force} of this series' range"
+    return f"resistance from strain misses {ohm:.1f} % of this series' range, force from strain {force}"

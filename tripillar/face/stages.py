@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
     from decoupler.model_file import read_model, require_same_sensor, write_model
     from decoupler.model.settings import NetworkConfig, TrainingConfig
-    from decoupler.rubber.check import RubberCheck, checked as check_rubber
+    from decoupler.rubber.check import RubberCheck, checked as check_rubber, doubted
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
     from decoupler.rubber.pictures import draw_rubber
@@ -107,7 +107,16 @@ if TYPE_CHECKING:
     from tripillar.doctor import Check
     from tripillar.doctor.known_answers import KNOWN, check_answers
     from tripillar.doctor.surroundings import check_surroundings
-    from tripillar.face.checks import enough, heed, joint_model, mention, require_heeded, warn_of_test
+    from tripillar.face.checks import (
+        enough,
+        fits,
+        heed,
+        joint_model,
+        mention,
+        require_heeded,
+        response_of,
+        warn_of_test,
+    )
     from tripillar.face.measured_loads import measured_in_recording, measured_live
     from tripillar.face.tables import (
         assessed_touch_tables, assessment_table, comparison_table, contact_table, crossval_table, solution_table,

@@ -137,7 +137,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
             if time.monotonic() - shown < SHOWN_S:
                 continue
             shown = time.monotonic()
-            notes = [scanner.trouble] if scanner.trouble else []
+            notes = [*filter(None, [scanner.trouble, scanner.stats.clock_said])]
             if newest and not streams:
                 frame = sensor.forces(newest[-1], RENEWED_S)
             if frame is None:
@@ -190,7 +190,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
         for scan in scans_within(sensor.scanner, seconds):
             if sensor.scanner.trouble != trouble:
                 trouble = sensor.scanner.trouble
-                print(json.dumps({"trouble": trouble}), flush=True)
+                print(json.dumps({"time_s": time.time(), "trouble": trouble}), flush=True)
             if scan is None:
                 continue
             frame = _sent(sensor.forces(scan, RENEWED_S), streams)

@@ -100,7 +100,7 @@ def test_a_pillar_that_buckles_is_refused(monkeypatch):
     """Twice Euler's load π² E I / (4 L²) on a straight pillar: its tangent has one negative eigenvalue too many."""
     monkeypatch.setattr("fem.kernel.newton.MIN_STEP", 1 / 4)
     load = DeadLoad(center_mm=(1.0, 1.0), size_mm=(2.0, 2.0), traction_mpa=(0.0, 0.0, -2 * np.pi**2 * 6.1 / 1728))
-    with pytest.raises(UnreachableLoadError, match="no stable equilibrium"):
+    with pytest.raises(UnreachableLoadError, match=r"no stable equilibrium (above 0\.\d|even under 0\.25 of the load)"):
         find_equilibrium(on_tetrahedra(load, np.array([0.0, 1.0, 2.0]), (0.0, 3.0, 6.0, 9.0, 12.0)))
 
 
