@@ -43,7 +43,7 @@ OF_PAD = 1.2  #: the same of one pad beside the others, as made 0.95 to 1.08
 MAX_PADS = 64  #: pads that are looked at one by one
 PROBE_N = 1.0  #: change of forces by which the model is differentiated
 ROUNDS = 5  #: of a search for multiples
-NOISE_TIMES = 1.5  #: the stated noise; what leaves less of the readings needs no mending
+CLEAR = (1.5, 100.0)  #: times the noise: what is left is less, what moved is more, where no mistake hides
 TARE = (0.03, 0.15, 5.0)  #: of what is added to all Fz: least pull and least size, over their mean; standard errors
 #: newtons of what may have been written for one
 UNITS = {"kN": 1e3, "mN": 1e-3, "grams": 1e-3 * KGF_N, "kgf": KGF_N, "taken for kgf": 1 / KGF_N, "lbf": 4.44822}
@@ -379,8 +379,8 @@ class _Fit:
 
 
 def _mistaken(given: _Fit) -> str | None:
-    """The mistake that explains the data best, if decidedly better than none; none is sought beyond noise."""
-    if (given.left**2).sum() < NOISE_TIMES * given.noise:
+    """The mistake that explains the data best, if decidedly better than none; none is sought in noise."""
+    if (given.left**2).sum() < CLEAR[0] * given.noise < (given.moved**2).sum() * CLEAR[0] / CLEAR[1]:
         return None
     unlinked, n_pads = given.turned(lambda F: 0.0 * F), math.prod(given.data.shape)
     others = {said: given.turned(turn) for said, turn in MISTAKES.items()}
