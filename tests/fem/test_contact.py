@@ -34,8 +34,9 @@ A_MM = np.sqrt(RADIUS * DEPTH)
 
 def endless(poisson: float, height_mm: float = 2000.0) -> SurfaceCompliance:
     """A layer on a slab so wide that its sides are not felt; a half-space unless it is thin."""
-    rubber, wide = Material(poisson=poisson), 2000.0
-    unit, array = Unit(height_mm=height_mm), Array(rows=1, cols=1, pitch_mm=wide)
+    rubber, wide, thick = Material(poisson=poisson), 2000.0, max(height_mm / 50, 2.0)
+    unit = Unit(height_mm=height_mm, span_mm=max(height_mm / 5, 10.0), pillar_width_mm=thick, electrode_mm=thick)
+    array = Array(rows=1, cols=1, pitch_mm=wide)
     design = SensorDesign(unit=unit, array=array, pillar_material=rubber, matrix_material=rubber)
     rest, electrodes = np.zeros((3, 3, 3) * 2, dtype=np.float32), np.zeros((1, 1, 2, 3, 3, 3, 3), dtype=np.float32)
     table = np.zeros((3, 3, 3, 3))
