@@ -11,6 +11,8 @@ from decoupler.inverse.strain_maps import units_around
 from decoupler.model.network import Network, Outcome, Task
 from geometry.layout import FloatArray
 
+LEAST = 1e-12  #: slope, and change, of the mean squared error at which there is no more to gain
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Convolution(Network):
@@ -32,7 +34,8 @@ class Convolution(Network):
         start = np.random.default_rng(training.seed).normal(scale=seen**-0.5, size=(task.form.hidden, seen))
         X, Y, kernel = (torch.from_numpy(values) for values in (task.inputs, task.targets, start))
         found: Any = cls(output=task.targets, kernel=kernel.requires_grad_(), near=near)  # type: ignore[arg-type]
-        optimiser = torch.optim.LBFGS([kernel], max_iter=training.max_iterations, line_search_fn="strong_wolfe")
+        most, least = training.max_iterations, {"tolerance_grad": LEAST, "tolerance_change": LEAST}
+        optimiser: Any = torch.optim.LBFGS([kernel], max_iter=most, line_search_fn="strong_wolfe", **least)  # type: ignore[arg-type]
         errors = list[float]()
 
         def projected() -> Any:
@@ -52,7 +55,8 @@ class Convolution(Network):
             optimiser.step(closure)
             W, mse = (values.detach() for values in projected())
         network = cls(output=W.numpy().T.copy(), kernel=kernel.detach().numpy(), near=near)
-        return network, Outcome(len(errors) - 1, mse.item(), "iterations")
+        iterations = optimiser.state[kernel]["n_iter"]
+        return network, Outcome(iterations, mse.item(), "stagnation" if iterations < most else "iterations")
 
     def activations(self, inputs: FloatArray) -> FloatArray:
         n, xp = len(inputs), namespace(inputs)
