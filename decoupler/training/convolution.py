@@ -33,9 +33,12 @@ class Convolution(Network):
         seen = 9 * task.inputs.shape[1] // len(near) + 1
         start = np.random.default_rng(training.seed).normal(scale=seen**-0.5, size=(task.form.hidden, seen))
         X, Y, kernel = (torch.from_numpy(values) for values in (task.inputs, task.targets, start))
-        found: Any = cls(output=task.targets, kernel=kernel.requires_grad_(), near=near)  # type: ignore[arg-type]
-        most, least = training.max_iterations, {"tolerance_grad": LEAST, "tolerance_change": LEAST}
-        optimiser: Any = torch.optim.LBFGS([kernel], max_iter=most, line_search_fn="strong_wolfe", **least)  # type: ignore[arg-type]
+        learning: Any = kernel.requires_grad_()  # a tensor in an array's place, so that `activations` has derivatives
+        found: Any = cls(output=task.targets, kernel=learning, near=near)
+        most = training.max_iterations
+        optimiser: Any = torch.optim.LBFGS(
+            [kernel], max_iter=most, tolerance_grad=LEAST, tolerance_change=LEAST, line_search_fn="strong_wolfe"
+        )
         errors = list[float]()
 
         def projected() -> Any:
