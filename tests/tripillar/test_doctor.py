@@ -33,12 +33,12 @@ def test_what_is_wrong_is_a_line_each_and_not_the_end(tmp_path, monkeypatch):
     def broken(*_):
         raise SolverError("no factor")
 
-    monkeypatch.setattr(known_answers, "solve_scene", broken)
-    monkeypatch.setattr(known_answers, "pillar_resistances", lambda *_: [8200.0])
-    monkeypatch.setattr(known_answers, "KNOWN", [one for one in KNOWN if "column" in one[0] or "pillar" in one[0]])
-    column, pillar = known_answers.check_answers()
-    assert (column.state, column.found, "pypardiso" in column.advice) == ("wrong", "SolverError: no factor", True)
-    assert (pillar.state, pillar.found[:13]) == ("wrong", "error 1.2e-02")  # 100 / 8100
+    monkeypatch.setattr(known_answers, "solve_response", broken)
+    monkeypatch.setattr(known_answers, "KNOWN", [KNOWN[0], ("another", 0.01, "report it", lambda: 0.012)])
+    known_answers._paper_response.cache_clear()
+    response, other = known_answers.check_answers()
+    assert (response.state, response.found, "pypardiso" in response.advice) == ("wrong", "SolverError: no factor", True)
+    assert (other.state, other.found[:13], other.advice) == ("wrong", "error 1.2e-02", "report it")
     monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device="/dev/null")])
     assert surroundings.serial_ports().state == "ok"
     house = House(tmp_path)
