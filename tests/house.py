@@ -12,6 +12,7 @@ from unittest.mock import patch
 
 from tripillar.cli.app import main
 
+PATIENT_S = 120.0  #: for what takes no time; so long may a busy machine stand still
 SMALL = 'extends = "paper"\n[array]\nrows = 1\ncols = 2\n'
 
 

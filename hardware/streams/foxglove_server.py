@@ -18,7 +18,6 @@ from hmac import compare_digest
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from hardware.streams.files import Channel
 from hardware.streams.stream import listening_on
 
 SUBPROTOCOLS: list[Any] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
@@ -34,7 +33,7 @@ _MESSAGE = struct.Struct("<BIQ")  # 1, subscription, time [ns]
 
 
 class FoxgloveServer:
-    """Serves messages of channels {topic: channel} to clients, in a thread of its own, until closed.
+    """Serves messages as JSON to clients, by {topic: JSON schema}, in a thread of its own, until closed.
 
     Port 0 is one that is free. With a token, a client must name it as ``ws://host:port/?token=...``. Without one, pages
     in a browser are let in by their origin, `TRUSTED`, and the address must be asked for as numbers or as localhost, so
@@ -42,17 +41,17 @@ class FoxgloveServer:
     If the port cannot be had, a `StreamError` is raised.
     """
 
-    def __init__(self, channels: Mapping[str, Channel], host: str, port: int, token: str, latched: str) -> None:
-        self._numbers = {topic: k for k, topic in enumerate(channels, start=1)}
+    def __init__(self, schemas: Mapping[str, Any], host: str, port: int, token: str, latched: str) -> None:
+        self._numbers = {topic: k for k, topic in enumerate(schemas, start=1)}
         self._host, self._token, self._latched = host, token, self._numbers[latched]
         self._kept: tuple[int, bytes] | None = None  # the last message of the latched topic
         self._clients: dict[Any, dict[int, int]] = {}  # of each connection the subscription to a channel
         self._greeting = [
             {"op": "serverInfo", "name": "TriPillar", "capabilities": [], "supportedEncodings": [], "metadata": {}},
             {"op": "advertise", "channels": [
-                {"id": self._numbers[topic], "topic": topic, "encoding": channel.encodings[0], "schema": channel.text}
-                | {"schemaName": channel.schema, "schemaEncoding": channel.encodings[1]}
-                for topic, channel in channels.items()
+                {"id": self._numbers[topic], "topic": topic, "encoding": "json", "schemaEncoding": "jsonschema"}
+                | {"schemaName": schema["title"], "schema": json.dumps(schema)}
+                for topic, schema in schemas.items()
             ]},
         ]  # fmt: skip
         listening, began = listening_on(host, port), threading.Event()

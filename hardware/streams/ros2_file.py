@@ -1,11 +1,11 @@
-"""Forces as messages of ROS 2, written without ROS. Needs the package ``mcap-ros2-support``.
+"""MCAP files of forces as messages of ROS 2, written without ROS. Needs the extra ``mcap``.
 
 `msg/` holds the definitions of the messages, for a ROS package of the name `PACKAGE`.
 """
 
-from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from geometry.layout import AXES, FloatArray
 from hardware.readout.description import FRAME, NORMAL, SensorDescription
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import SIGNS, on_all_axes
-from hardware.streams.files import Channel, Message
+from hardware.streams.stream import make_file, require_room
 
 PACKAGE = "tripillar_msgs"
+CHUNK_BYTES = 2**18  #: of messages that are compressed together
+MESSAGES = Path(__file__).parent / "msg"
 SHAPE, FRAMES = "/tactile/shape", "/tactile/frame"  #: topics
 #: definitions of ROS's own messages that these are made of
 USED = {
@@ -37,30 +39,73 @@ LATCHED = (
 
 def definition(name: str) -> str:
     """Text of a message of `msg/` and of all that it is made of, as MCAP's encoding ``ros2msg`` has it."""
-    own = (Path(__file__).parent / "msg" / f"{name}.msg").read_text(encoding="utf-8")
-    return own + "".join(f"{'=' * 80}\nMSG: {used}\n{text}" for used, text in USED.items())
+    own = (MESSAGES / f"{name}.msg").read_text(encoding="utf-8")
+    contact = (MESSAGES / "TactileContact.msg").read_text(encoding="utf-8")
+    used = USED | {f"{PACKAGE}/TactileContact": contact}
+    return own + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in used.items())
 
 
-def ros2_channels() -> dict[str, Channel]:
-    """The topics of `ros2_messages`; `MissingPackageError` without the package."""
-    with needing("ROS 2", "mcap"):
-        from mcap_ros2._dynamic import serialize_dynamic  # its own writer has no way to state what is latched
+class Ros2Writer:
+    """Writes the description of a sensor and then a message a scan into an open file, until closed.
 
-    def channel(name: str, **metadata: str) -> Channel:
-        schema, text = f"{PACKAGE}/msg/{name}", definition(name)
-        encode = serialize_dynamic(schema, text)[schema]
-        return Channel(schema=schema, text=text, encode=encode, encodings=("cdr", "ros2msg"), metadata=metadata)
+    A message's log time is the scan's stamp. `DesignError` if nobody knows where the pads are, `MissingPackageError`
+    without the package.
+    """
 
-    return {SHAPE: channel("TactileShape", offered_qos_profiles=LATCHED), FRAMES: channel("TactileFrame")}
+    def __init__(self, file: Any, sensor: SensorDescription) -> None:
+        with needing("MCAP", "mcap"):
+            from mcap.writer import Writer
+            from mcap_ros2._dynamic import serialize_dynamic  # its own writer has no way to state what is latched
+        sensor.require_positions()
+        self._sensor, self._is_first = sensor, True
+        self._writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        self._writer.start(profile="ros2", library="tripillar")
+        self._channels = {}
+        for topic, name in (SHAPE, "TactileShape"), (FRAMES, "TactileFrame"):
+            schema, text = f"{PACKAGE}/msg/{name}", definition(name)
+            number = self._writer.register_schema(schema, "ros2msg", text.encode())
+            metadata = {"offered_qos_profiles": LATCHED} if topic == SHAPE else {}
+            channel = self._writer.register_channel(topic, "cdr", number, metadata)
+            self._channels[topic] = channel, serialize_dynamic(schema, text)[schema]
+
+    def add(self, scan: Forces) -> None:
+        """Write the forces of one scan."""
+        stamp_ns = int(scan.stamp_ns)
+        if self._is_first:
+            self._is_first = False
+            self._write(SHAPE, shape_message(self._sensor, stamp_ns), stamp_ns)
+        self._write(FRAMES, frame_message(scan), stamp_ns)
+
+    def close(self) -> None:
+        """Write the index; the file itself stays open."""
+        self._writer.finish()
+
+    def _write(self, topic: str, content: dict[str, Any], stamp_ns: int) -> None:
+        channel, encode = self._channels[topic]
+        self._writer.add_message(channel, stamp_ns, encode(content), stamp_ns, content.get("sequence", 0))
 
 
-def ros2_messages(forces: Forces) -> Iterator[Message]:
-    """The description of the sensor, and then a message a scan, at the stamps of the board's clock."""
-    for k, stamp_ns in enumerate(forces.stamp_ns.tolist()):
-        if k == 0:
-            yield Message(SHAPE, shape_message(forces.description, stamp_ns), stamp_ns, stamp_ns)
-        content = frame_message(forces[k])
-        yield Message(FRAMES, content, stamp_ns, stamp_ns, content["sequence"])
+class Ros2Stream:
+    """Writes the forces of scans into a new file as they come; all else is as of `Stream`."""
+
+    def __init__(self, sensor: SensorDescription, path: Path) -> None:
+        self._sensor, self._path, self._open = sensor, path, ExitStack()
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            make_file(self._path)
+            self._writer = Ros2Writer(opened.enter_context(self._path.open("wb")), self._sensor)
+            opened.callback(self._writer.close)
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._open.close()
+
+    def add(self, scan: Forces) -> None:
+        """Write those of one scan."""
+        self._writer.add(scan)
+        require_room(self._path)
 
 
 def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
@@ -105,6 +150,20 @@ def frame_message(scan: Forces) -> dict[str, Any]:
         "has_center_of_pressure": not np.isnan(wrench.centre_mm).any(),
         "center_of_pressure": _vector(np.append(1e-3 * wrench.centre_mm, 0.0)),
         "center_of_pressure_deviation": _vector(np.append(1e-3 * centre_mm[:2], 0.0)),
+        "contacts": [_contact(each) for each in scan.contacts or ()],
+    }
+
+
+def _contact(found: Any) -> dict[str, Any]:
+    """One contact as a TactileContact."""
+    lengths = {
+        "center": found.centre_mm, "center_deviation": found.centre_deviation_mm,
+        "half_size": found.half_mm, "half_size_deviation": found.half_deviation_mm,
+    }  # fmt: skip
+    return {
+        "force": _vector(SIGNS * found.force_n),
+        "force_deviation": _vector(found.force_deviation_n),
+        **{name: _vector(np.append(1e-3 * values, 0.0)) for name, values in lengths.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""Messages of MCAP files and of live streams: their topics, and what each says of the forces of a scan, as JSON."""
+"""Messages of live streams: their topics, and what each says of the forces of a scan, as JSON."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.layout import AXES, FloatArray
-from hardware.link.frames import Info
 from hardware.readout.description import FRAME, SensorDescription, plain_numbers
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import NET, wrench_weights
-from hardware.recording.recorded import COLUMNS, Header
 from hardware.streams.scene import (
     ARROW_COLOUR,
     CONTACT_COLOUR,
@@ -27,9 +25,8 @@ from hardware.streams.scene import (
     turns_from_x,
 )
 
-INFO, SCAN, FORCES = "/tripillar/info", "/tripillar/scan", "/tripillar/forces"  #: topics
-SENSOR, WRENCH, SCENE = "/tripillar/sensor", "/tripillar/wrench", "/tripillar/scene"
-RESISTANCES, CONTACTS = "/tripillar/resistances", "/tripillar/contacts"
+SENSOR, FORCES, WRENCH = "/tripillar/sensor", "/tripillar/forces", "/tripillar/wrench"  #: topics
+SCENE, RESISTANCES, CONTACTS = "/tripillar/scene", "/tripillar/resistances", "/tripillar/contacts"
 CONTACT = ("force_n", "force_deviation_n", "centre_mm", "centre_deviation_mm", "half_mm", "half_deviation_mm")
 
 
@@ -138,11 +135,7 @@ def schemas() -> dict[str, dict[str, Any]]:
     """JSON schemas of all topics: those of the messages of a scan that has all that a scan can have."""
     scan = _everything()
     examples = {topic: json.loads(json_bytes(content(scan))) for topic, content in CONTENTS.items()}
-    examples |= {
-        INFO: Header(info=Info()).plain(),
-        SCAN: {name: 0 for name in COLUMNS} | {"counts": [0], "received_s": 0.0},
-        SENSOR: scan.description.plain(),
-    }
+    examples[SENSOR] = scan.description.plain()
     titles = {topic: f"tripillar.{topic.rpartition('/')[2].title()}" for topic in examples} | TITLES
     return {topic: {"title": titles[topic]} | schema_of(example) for topic, example in examples.items()}
 

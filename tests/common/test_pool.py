@@ -19,6 +19,7 @@ from common.errors import DesignError
 from common.pool import WorkerLost, in_parallel, open_pool
 from common.storage.journal import Journal
 from tests.common.fake_job import TASKS, go_on, register, square, threads
+from tests.house import PATIENT_S
 
 ROOT = Path(__file__).parents[2]
 SQUARES = {number: number**2 for number in range(TASKS)}
@@ -45,12 +46,10 @@ def test_a_run_that_is_ended_goes_on_and_makes_only_what_is_missing(tmp_path, nu
             assert run.poll() is None
             time.sleep(0.002)
         workers = workers_of(psutil.Process(run.pid))
-        begun = time.monotonic()
         (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)
-        said = run.communicate(timeout=30)[1]
+        said = run.communicate(timeout=PATIENT_S)[1]
     assert len(workers) == 2
-    assert not psutil.wait_procs(workers, timeout=30)[1]
-    assert time.monotonic() - begun < 2 + 10 * (os.getloadavg()[0] > os.cpu_count())
+    assert not psutil.wait_procs(workers, timeout=PATIENT_S)[1]
     assert number == signal.SIGKILL or (said, run.returncode) == ("tripillar: interrupted.\n", 130)
     journal = Journal(tmp_path)
     with journal.alone(), pytest.raises(DesignError, match="used by another process"), journal.alone():

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 
-from tests.house import run_here
+from tests.house import PATIENT_S, run_here
 
 ROOT = Path(__file__).parents[2]
 NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w.]*\w)")
 RELATIVE = 0.02  #: of a number promised: another machine's rounding and threads move the last digits of what is trained
-GIVE_UP_S = 120.0  #: on one command
 
 
 @dataclass
@@ -74,7 +73,7 @@ class Terminal:
             for number in words:
                 job = self._jobs.pop(int(number.removeprefix("%")) - 1)
                 job.terminate()
-                assert job.wait(GIVE_UP_S) == 0
+                assert job.wait(PATIENT_S) == 0
             return ""
         if program == "cat":
             assert command.content.pop() == "END"
@@ -94,7 +93,7 @@ class Terminal:
             program = [sys.executable, "-m", "tripillar", *words]
             job = subprocess.Popen(program, stdout=out, stderr=out, cwd=self.folder, env=self._environment)
         self._jobs.append(job)
-        end_s = time.monotonic() + GIVE_UP_S
+        end_s = time.monotonic() + PATIENT_S
         while missing(command.promised, printed.read_text()):
             assert time.monotonic() < end_s, f"{command.line}\ndid not do what it promised:\n{printed.read_text()}"
             assert job.poll() is None, f"{command.line}\nended:\n{printed.read_text()}"

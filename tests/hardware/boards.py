@@ -17,6 +17,7 @@ from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link
 from hardware.link.serial_ports import PortError, open_port
 from hardware.readout.calibration import Electronics
+from tests.house import PATIENT_S
 
 INFO = Info(rate_hz=200, serial=3)
 # one row a period: scan k, overruns counted in, has COUNTS[k % 50]
@@ -33,7 +34,6 @@ def sharing_wires(layout):
 
 
 SHARED = sharing_wires(LAYOUTS["six-pillar"])  #: 3 + 2 wires a unit
-PATIENT_S = 30.0  #: for a thing that takes no time; so long may a busy machine stand still
 
 CHIP = Info(scan_mode=ScanMode.ZERO_POTENTIAL, firmware=(1, 1, 0), sense_ohm=4700)  #: of the simulated chip
 ROW_WIRE, COLUMN_WIRE = crossings(6, 6).T
@@ -192,16 +192,13 @@ class Listener:
 
     def __init__(self, port, clock=time.monotonic):
         self.port, self.clock, self.decoder = port, clock, FrameDecoder()
-        self.longest_pause_s = 0.0  #: between two reads
         self.frames, self.infos, self.errors = [], [], []
 
     def take(self, enough):
         """Listen until `enough` holds of self."""
-        end = (before := self.clock()) + PATIENT_S
+        end = self.clock() + PATIENT_S
         while not enough(self):
-            now = self.clock()
-            self.longest_pause_s, before = max(self.longest_pause_s, now - before), now
-            assert now < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
+            assert self.clock() < end, f"{len(self.frames)} frames, {self.infos}, {self.decoder.statistics}"
             for received in self.decoder.feed(self.port.read(max(1, self.port.in_waiting))):
                 {Info: self.infos, Errors: self.errors}.get(type(received), self.frames).append(received)
         return self

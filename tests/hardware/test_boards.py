@@ -22,7 +22,6 @@ from tests.hardware.boards import (
     COUNTS,
     DISTINCT,
     INFO,
-    PATIENT_S,
     ROW_WIRE,
     Clock,
     Listener,
@@ -30,6 +29,7 @@ from tests.hardware.boards import (
     a_wire,
     listening,
 )
+from tests.house import PATIENT_S
 
 PERIOD_S = 1 / INFO.rate_hz
 N = 60

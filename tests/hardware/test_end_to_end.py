@@ -19,6 +19,7 @@ from hardware.link.frames import Info, ScanMode
 from hardware.link.scanner import Scanner
 from hardware.readout.calibration import Electronics
 from hardware.readout.forces import ForceReader
+from tests.house import PATIENT_S
 
 missing = find_tools()
 pytestmark = pytest.mark.skipif(missing is not None, reason=str(missing))
@@ -61,7 +62,7 @@ def test_known_forces_come_back_through_the_firmware(layout):
     found = np.full((N_LOADS, 6, 6, 3), np.nan)
     with run_board(MCUS[0], told, counts, fast=True) as board, Scanner(board.port, queue=10_000) as scanner:
         reader = ForceReader(scanner.info, model)
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + PATIENT_S
         for scan in scanner:
             load, since_us = divmod(scan.frame.device_us, hold_us)
             scan_ends_us = since_us + 1e6 / told.rate_hz + 1000  # the table begins up to 1 ms before the board's clock

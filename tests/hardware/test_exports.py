@@ -1,4 +1,4 @@
-"""Files for other programs, as any reader of their formats finds them: NetCDF, MCAP of JSON and of ROS 2, CSV."""
+"""Files for other programs, as any reader of their formats finds them: NetCDF, CSV, MCAP of ROS 2 messages."""
 
 import csv
 import json
@@ -8,32 +8,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from common.errors import FileFormatError
+from common.errors import DesignError, FileFormatError
 from decoupler.touch.decoder import TouchContact
 from hardware import convert, replay, write_forces
 from hardware.link.frames import Frame
 from hardware.readout.wrench import SIGNS
 from hardware.recording import Recorder, read_recording
 from hardware.streams.ros2_file import FRAMES, SHAPE
-from hardware.streams.topics import CONTACT, CONTENTS, FORCES, INFO, SCAN, SCENE, SENSOR, WRENCH, json_bytes, schemas
+from hardware.streams.topics import CONTACT, CONTENTS, FORCES, SCENE, SENSOR, json_bytes, schemas
 from tests.hardware.models import INFO as BOARD
 
 BEGAN_S = 1.8e9  #: Unix time
-reader = pytest.importorskip("mcap.reader")
 ros2_reader = pytest.importorskip("mcap_ros2.reader")
 TYPES = {"integer": int, "number": (int, float), "string": str, "array": list, "object": dict, "boolean": bool}
-
-
-def messages(path):
-    """All messages by topic: [(message, its content)]; each content is held to its schema."""
-    found = {}
-    with path.open("rb") as file:
-        for schema, channel, message in reader.make_reader(file, validate_crcs=True).iter_messages():
-            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
-            content = json.loads(message.data)
-            check(content, json.loads(schema.data))
-            found.setdefault(channel.topic, []).append((message, content))
-    return found
 
 
 def check(content, schema):
@@ -70,8 +57,8 @@ def forces(recording, pressed):
 
 
 def test_a_recording_is_the_same_in_every_form(recording, tmp_path):
-    """NetCDF and CSV to the last bit; MCAP with an index, and times that only grow."""
-    for name in ("press.nc", "press.mcap", "press.csv"):
+    """NetCDF and CSV to the last bit."""
+    for name in ("press.nc", "press.csv"):
         convert(recording, tmp_path / name)
     with xr.open_dataset(tmp_path / "press.nc", decode_times=False) as data:
         for name, values in recording.columns().items():
@@ -83,31 +70,9 @@ def test_a_recording_is_the_same_in_every_form(recording, tmp_path):
         lines = list(csv.DictReader(file))
     assert [float(line["received_s"]) for line in lines] == recording.received_s.tolist()
     assert [[int(line[f"count_{k}"]) for k in range(18)] for line in lines] == recording.counts.tolist()
-    found = messages(tmp_path / "press.mcap")
-    [(first, info)] = found[INFO]
-    assert info == recording.plain()
-    assert first.log_time == found[SCAN][0][0].log_time  # a viewer's time axis starts here
-    for k, (message, scan) in enumerate(found[SCAN]):
-        assert (message.sequence, message.publish_time) == (recording.sequence[k], int(recording.device_us[k]) * 1000)
-        assert scan == {name: values[k] for name, values in recording.columns().items()} | {
-            "counts": recording.counts[k].tolist()
-        }
-    with (tmp_path / "press.mcap").open("rb") as file:
-        assert reader.make_reader(file).get_summary().statistics.message_count == 41
 
 
-def test_forces_and_net_load_are_beside_each_scan(recording, forces, pressed, tmp_path):
-    write_forces(recording, forces, path := tmp_path / "press.mcap")
-    found = messages(path)
-    assert list(found) == [INFO, SENSOR, SCAN, FORCES, WRENCH]
-    assert [content for _, content in found[SENSOR]] == [forces.description.plain()]
-    assert [len(found[topic]) for topic in (SCAN, FORCES, WRENCH)] == [40] * 3
-    for k, ((message, content), (_, net)) in enumerate(zip(found[FORCES], found[WRENCH], strict=True)):
-        assert message.log_time == found[SCAN][k][0].log_time == pytest.approx(content["time"] * 1e9, abs=500)
-        for name in ("force_n", "deviation_n"):
-            values = np.array([unit[name] for unit in content["units"]])
-            assert values == pytest.approx(getattr(forces, name)[k].reshape(-1, 3), abs=0.51e-6)  # six decimals
-        assert net["net_force_n"] == pytest.approx(forces.wrench.force_n[k], rel=1e-5)  # six digits
+def test_forces_and_net_load_are_in_netcdf(recording, forces, pressed, tmp_path):
     write_forces(recording, forces, path := tmp_path / "press.nc")
     with xr.open_dataset(path) as data:
         for name in ("force_n", "deviation_n", "chi2"):
@@ -127,7 +92,7 @@ def vectors(of):
 
 def test_ros_finds_the_sensor_latched_and_every_force_at_the_boards_clock(recording, forces, tmp_path):
     """Stamps lie within 0.1 ms of the scans, where arrivals are up to 3 ms late; through rollover and restart."""
-    write_forces(recording, forces, path := tmp_path / "press.mcap", ros2=True)
+    write_forces(recording, forces, path := tmp_path / "press.mcap")
     found, sensor = {SHAPE: [], FRAMES: []}, forces.description
     for message in ros2_reader.read_ros2_messages(path):
         found[message.channel.topic].append(message)
@@ -157,13 +122,23 @@ def test_ros_finds_the_sensor_latched_and_every_force_at_the_boards_clock(record
     assert np.diff(times_s).min() > 0
     own = replace(recording, received_s=None)  # the bytes of a board keep its clock
     assert own.stamps_ns().tolist() == [round(time_s * 1e9) for time_s in own.time_s.tolist()]
-    convert(own, tmp_path / "own.mcap")
+
+
+def test_contacts_are_in_each_frame(recording, forces, tmp_path):
+    """On the sensor, as its forces are: what presses has a z below 0."""
+    found = TouchContact(**{name: np.full(3 if "force" in name else 2, 2.0) for name in CONTACT})
+    write_forces(recording, replace(forces, contacts=[(found,)] * 40), path := tmp_path / "press.mcap")
+    *_, last = ros2_reader.read_ros2_messages(path, topics=[FRAMES])
+    (contact,) = last.ros_msg.contacts
+    assert vectors([contact.force, contact.force_deviation]).tolist() == [[2.0 * sign for sign in SIGNS], [2.0] * 3]
+    lengths_m = vectors([contact.center, contact.half_size, contact.half_size_deviation])
+    assert lengths_m.tolist() == [[0.002, 0.002, 0.0]] * 3
 
 
 def test_schemas_keep_to_what_viewers_know(forces):
     """Foxglove refuses a topic whose schema has arrays of arrays, and knows its picture by name."""
     known = schemas()
-    assert set(known) == {INFO, SCAN, SENSOR, *CONTENTS}
+    assert set(known) == {SENSOR, *CONTENTS}
     assert {known[SCENE]["title"], known[FORCES]["title"]} == {"foxglove.SceneUpdate", "tripillar.Forces"}
     assert '"items": {"type": "array"' not in json.dumps(known)
     found = TouchContact(**{name: np.zeros(3 if "force" in name else 2) for name in CONTACT})
@@ -172,10 +147,12 @@ def test_schemas_keep_to_what_viewers_know(forces):
 
 
 def test_what_cannot_be_written_is_one_line_and_leaves_the_old_file(recording, forces, tmp_path, monkeypatch):
-    with pytest.raises(FileFormatError, match=r"end the name in \.(nc|mcap)"):
-        write_forces(recording, forces, tmp_path / "a.nc", ros2=True)
+    for write in (convert, lambda of, path: write_forces(of, forces, path)):
+        with pytest.raises(FileFormatError, match=r"end the name in \.nc or \.(csv|mcap)"):
+            write(recording, tmp_path / "a.txt")
     (path := tmp_path / "press.mcap").write_text("old")
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        write_forces(recording, replace(forces, force_n=np.full_like(forces.force_n, np.nan)), path)
+    nowhere = replace(forces.description, position_mm=np.full_like(forces.description.position_mm, np.nan))
+    with pytest.raises(DesignError):
+        write_forces(recording, replace(forces, description=nowhere), path)
     assert [each.name for each in tmp_path.iterdir()] == ["press.mcap"]
     assert path.read_text() == "old"

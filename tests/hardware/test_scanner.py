@@ -18,7 +18,8 @@ from hardware.link.frames import encode
 from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link, Scanner, ScannerError
 from hardware.link.serial_ports import PortError, open_port, symlinked
-from tests.hardware.boards import COUNTS, INFO, PATIENT_S, ScriptedPort, a_wire, comes_about
+from tests.hardware.boards import COUNTS, INFO, ScriptedPort, a_wire, comes_about
+from tests.house import PATIENT_S
 
 HEAD = encode(INFO)
 

@@ -22,12 +22,13 @@ from hardware.readout.wrench import SIGNS
 from hardware.streams.foxglove_server import MAX_CLIENTS, MAX_WAITING
 from hardware.streams.foxglove_stream import FoxgloveStream
 from hardware.streams.rerun_stream import TIMELINE, RerunStream
+from hardware.streams.ros2_file import Ros2Stream
 from hardware.streams.scene import LONGEST
 from hardware.streams.stream import ROOM_BYTES, StreamError
 from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, RESISTANCES, SCENE, SENSOR, WRENCH
 from tests.hardware.models import INFO
-from tests.hardware.test_exports import messages
 from tests.hardware.test_recordings import room_for
+from tests.house import PATIENT_S
 
 if not find_spec("rerun"):  # which takes 0.3 s to load
     pytest.skip("no rerun", allow_module_level=True)
@@ -40,7 +41,7 @@ def board(pressed):
     with PythonBoard(pressed.counts, INFO) as board, live(board.port, pressed.model) as scans:
 
         def take(n):
-            return [scans.forces(scans.scanner.get(10), renewed_s=0.1) for _ in range(n)]
+            return [scans.forces(scans.scanner.get(PATIENT_S), renewed_s=0.1) for _ in range(n)]
 
         yield SimpleNamespace(description=scans.description, take=take)
 
@@ -123,17 +124,19 @@ def test_rerun_holds_and_serves_what_was_sent(board, tmp_path):
     check_rrd(path, board.description, sent)
 
 
-@pytest.mark.parametrize(("kind", "stream_of"), [("mcap", FoxgloveStream), ("rrd", RerunStream)])
+@pytest.mark.parametrize(("kind", "stream_of"), [
+    ("mcap", Ros2Stream), ("rrd", lambda sensor, path: RerunStream(sensor, host=None, rrd=path)),
+])  # fmt: skip
 def test_a_file_is_never_overwritten_and_ends_with_a_full_disk(board, tmp_path, kind, stream_of):
     """A limit on the size of files is a full disk."""
-    path, options = tmp_path / f"shown.{kind}", {"host": None, kind: tmp_path / f"shown.{kind}"}
-    with stream_of(board.description, **options) as stream:
+    path = tmp_path / f"shown.{kind}"
+    with stream_of(board.description, path) as stream:
         with room_for(ROOM_BYTES - 1), pytest.raises(StreamError, match=rf"shown.{kind}: the disk is full"):
             stream.add(board.take(1)[0])
         stream.add(board.take(1)[0])
     before = path.read_bytes()
     with pytest.raises(StreamError, match="exists: give another name"):
-        stream_of(board.description, **options).__enter__()
+        stream_of(board.description, path).__enter__()
     assert path.read_bytes() == before
 
 
@@ -156,7 +159,7 @@ def test_what_cannot_be_streamed_is_refused(board, monkeypatch, tmp_path, packag
 
 
 def wait_for(is_so):
-    end_s = time.monotonic() + 10
+    end_s = time.monotonic() + PATIENT_S
     while not is_so():
         assert time.monotonic() < end_s
         time.sleep(0.005)
@@ -166,9 +169,9 @@ def subscribing(ids):
     return json.dumps({"op": "subscribe", "subscriptions": [{"id": 100 + k, "channelId": k} for k in ids]})
 
 
-def test_a_client_of_foxglove_receives_what_was_sent_and_its_file_holds(board, tmp_path):
+def test_a_client_of_foxglove_receives_what_was_sent(board):
     with (
-        FoxgloveStream(board.description, port=0, mcap=tmp_path / "shown.mcap") as stream,
+        FoxgloveStream(board.description, port=0) as stream,
         connect(f"ws://127.0.0.1:{stream.port}", subprotocols=["foxglove.sdk.v1"]) as client,
     ):
         stream.add((sent := board.take(30))[0])  # before anyone listens: the description is kept for who comes later
@@ -184,13 +187,10 @@ def test_a_client_of_foxglove_receives_what_was_sent_and_its_file_holds(board, t
             _, subscription, log_ns = struct.unpack_from("<BIQ", message)
             found.setdefault(topics[subscription], []).append((log_ns, json.loads(message[13:])))
     assert [content for _, content in found.pop(SENSOR)] == [board.description.plain()]
-    kept = messages(tmp_path / "shown.mcap")
-    assert [content for _, content in kept.pop(SENSOR)] == [board.description.plain()]
-    assert set(kept) == set(found) == set(CONTENTS) - {CONTACTS}
-    for topic, filed in kept.items():
-        assert [message.log_time for message, _ in filed] == [scan.stamp_ns for scan in sent]
-        assert [(message.log_time, content) for message, content in filed[1:]] == found[topic]
-    check_contents(lambda topic, k: kept[topic][k][1], board.description, sent)
+    assert set(found) == set(CONTENTS) - {CONTACTS}
+    for received in found.values():
+        assert [log_ns for log_ns, _ in received] == [scan.stamp_ns for scan in sent[1:]]
+    check_contents(lambda topic, k: found[topic][k][1], board.description, sent[1:])
 
 
 def handshake(port, path="/", **headers):
@@ -198,7 +198,7 @@ def handshake(port, path="/", **headers):
     asked = {"Host": f"127.0.0.1:{port}", "Upgrade": "websocket", "Connection": "Upgrade"}
     asked |= {"Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
     asked |= {"Sec-WebSocket-Protocol": "foxglove.sdk.v1"} | headers
-    connection = socket.create_connection(("127.0.0.1", port), timeout=10)
+    connection = socket.create_connection(("127.0.0.1", port), timeout=PATIENT_S)
     lines = [f"GET {path} HTTP/1.1", *(f"{name}: {value}" for name, value in asked.items()), "", ""]
     connection.sendall("\r\n".join(lines).encode())
     return int(connection.recv(4096).split()[1]), connection
@@ -230,7 +230,7 @@ def test_only_known_pages_or_a_token_are_let_in_and_nonsense_is_sent_away_withou
             connection.close()
             assert found == status, (path, headers)
         for said in (b"\0\0\0", b"GET / HTTP/1.1\r\n\r\n", b"POST / HTTP/1.1\r\nHost: a\r\n\r\n", b""):
-            with socket.create_connection(("127.0.0.1", stream.port), timeout=10) as connection:
+            with socket.create_connection(("127.0.0.1", stream.port), timeout=PATIENT_S) as connection:
                 connection.sendall(said)
                 connection.shutdown(socket.SHUT_WR)
                 while connection.recv(4096):
@@ -262,7 +262,7 @@ def test_clients_and_what_waits_for_them_are_bounded(board):
             server.send(FORCES, k, bytes(100_000))  # more than the system takes for those who do not read
         done = threading.Event()
         server._loop.call_soon_threadsafe(done.set)
-        assert done.wait(10)
+        assert done.wait(PATIENT_S)
         waiting = [client.transport.get_write_buffer_size() for client in server._clients]
         assert MAX_WAITING <= max(waiting) < MAX_WAITING + 200_000
         every = list(range(100, 1100))
@@ -272,7 +272,5 @@ def test_clients_and_what_waits_for_them_are_bounded(board):
         wait_for(lambda: len(server._clients) < MAX_CLIENTS)
         held.append(handshake(stream.port))
         assert held[-1][0] == 101  # there is room again
-        start_s = time.monotonic()
-    assert time.monotonic() - start_s < 2.0
     for _, connection in held:
         connection.close()

@@ -261,7 +261,8 @@ design --extend missing.toml -> missing.toml: no such file
 design --extend small.toml --out small.toml -> small.toml is read by this command
 design --extend chewing-gum -> neither a rubber file (.toml) nor a published silicone; these are dragon-skin-10,
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
-export text.txt -o y.txt -> must be a file that ends in .nc or .mcap or .csv
+export text.txt -o y.txt -> must be a file that ends in .nc or .csv
+export text.txt -o y.mcap -> would hold forces: write tripillar replay text.txt --model MODEL --out y.mcap
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
 view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at most 100 MPa
 view block.toml --save x.png --pressure 3 -> has its own loads
@@ -275,7 +276,6 @@ info data.nc -> data.nc: an export for other programs
 live text.txt --model model.safetensors --rate 20 -> a recording has the rate that it was made at: leave --rate out
 live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
-replay text.txt --model model.safetensors --ros2 -> add --out FILE.mcap, or leave --ros2 out
 tare missing -o text.json -> the file exists: build on it by --calibration
 board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
 board --period 0 -> --period 0 must be from 0.1 to 600 s

@@ -42,6 +42,7 @@ GONE = {
     "simulate": "board",
     "fine-tune": "identify --data PAIRS.nc --design sensor.toml --out own.safetensors; it needs no model",
     "identify --model": "identify --finite MODEL",
+    "replay --ros2": "replay --out FILE.mcap",
     "sweep --train": "train on samples of the designs that it has found",
     "board --scene": "board --pressure MPA",
 }

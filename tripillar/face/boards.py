@@ -143,7 +143,7 @@ def record(
 ) -> int:
     """Record what a board sends, raw, as it comes; a killed recording loses one scan.
 
-    `replay` makes forces of a recording, `export` NetCDF, MCAP or CSV.
+    `replay` makes forces of a recording, `export` NetCDF or CSV.
 
     Parameters
     ----------
@@ -221,7 +221,6 @@ def replay(
     rubber: File | None = None,
     speed: float | None = None,
     out: File | None = None,
-    ros2: bool = False,
     crosstalk: Annotated[bool, Flag(negative=("--no-crosstalk",))] = True,
     **log: Annotated[Any, LINES],
 ) -> "stages.Forces | None":
@@ -241,9 +240,7 @@ def replay(
     speed : float, optional
         Times its own pace at which to show it, as `live` does; default: all at once.
     out : path, optional
-        File for the forces of every frame: .nc, or .mcap with the counts beside.
-    ros2 : bool
-        Write messages of ROS 2 into the .mcap file, in place of JSON.
+        File for the forces of every frame: .nc, or .mcap, of messages of ROS 2.
     crosstalk : bool
         Correct the crossbar's crosstalk.
     **log
@@ -271,8 +268,6 @@ def replay(
     """
     caller, source = current(), Path(recording)
     to_write("out", out, ".nc .mcap", (recording, model, calibration))
-    if ros2 and (out is None or Path(out).suffix != ".mcap"):
-        raise DesignError("ros2=True says what is in an MCAP file: add out=FILE.mcap, or leave ros2=True out.")
     if speed is not None:
         if not speed >= 1e-3:
             raise DesignError(f"speed={speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
@@ -293,7 +288,7 @@ def replay(
         caller.say("warning: recorded for a model of another design: its forces are those of the design of model=")
     if out is not None:
         text = recorded.calibration if own is None else own.to_json()
-        stages.write_forces(replace(recorded, calibration=text, made_from=hashes), found, Path(out), ros2)
+        stages.write_forces(replace(recorded, calibration=text, made_from=hashes), found, Path(out))
     frames, saturated = len(found.force_n), int(found.saturated.any(axis=(1, 2, 3)).sum())
     partial, unreliable = int(found.left_out.any(axis=(1, 2, 3)).sum()), int(found.unreliable.sum())
     unexplained, lost, component = int(found.unexplained.sum()), recorded.statistics.lost, decoupler.component

@@ -30,7 +30,7 @@ def export(
     to: Literal["header"] | None = None,
     design: DesignLike | None = None,
 ) -> Path:
-    """Write a model, a data set or a recording for other programs: ONNX or C, CSV, NetCDF or MCAP.
+    """Write a model, a data set or a recording for other programs: ONNX or C, CSV or NetCDF.
 
     Or a design for the firmware: its wires and channels.
 
@@ -39,8 +39,8 @@ def export(
     data : path, optional
         Data set (.nc or .zarr) or recording (.frames, or a board's bytes) to write.
     out : path
-        File to write: of a model .onnx, or .h for a header in C; of a data set .csv; of a recording .nc (NetCDF), .mcap
-        (Foxglove, ROS) or .csv.
+        File to write: of a model .onnx, or .h for a header in C; of a data set .csv; of a recording .nc (NetCDF) or
+        .csv.
     model : Decoupler or path, optional
         Model file to write in their place.
     precision : str, optional
@@ -78,7 +78,9 @@ def export(
         text = f"largest deviation from the model: {exported.deviation:.1e} of full scale ({exported.precision})"
         result |= asdict(exported)
     elif not (source := Path(data or "")).is_dir() and source.suffix not in (".zarr", ".csv", ".nc"):
-        to_write("out", path, ".nc .mcap .csv", (source,))
+        if path.suffix == ".mcap":
+            raise DesignError(f"{path} would hold forces: write tripillar replay {source} --model MODEL --out {path}.")
+        to_write("out", path, ".nc .csv", (source,))
         recorded = stages.read_recording(source)
         caller.say(damage(source, recorded))
         stages.convert(recorded, path)

@@ -18,7 +18,7 @@ class AskedStreams:
     foxglove: bool = quantity(False, "serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone")
     foxglove_at: str | None = quantity(None, "address HOST:PORT to do so; 0.0.0.0 lets everybody in")
     foxglove_token: str | None = quantity(None, "token that lets in: only who opens ws://HOST:PORT/?token=TOKEN")
-    mcap: File | None = quantity(None, "file (.mcap) to write as well: what Foxglove is shown")
+    mcap: File | None = quantity(None, "file (.mcap) to write, messages of ROS 2: for Foxglove, Rerun, ROS")
     rerun: bool = quantity(False, "serve Rerun viewers by gRPC, on 127.0.0.1:9876: this machine alone")
     rerun_at: str | None = quantity(None, "address HOST:PORT to do so; 0.0.0.0 lets everybody in")
     rrd: File | None = quantity(None, "file (.rrd) to write as well: what Rerun is shown")
@@ -37,13 +37,13 @@ class AskedStreams:
         """The streams, as long as the with block lasts; the caller is told where they are."""
         with ExitStack() as stack:
             streams: list[stages.Stream] = []
-            if (is_served := self.foxglove or self.foxglove_at is not None) or self.mcap is not None:
+            if self.foxglove or self.foxglove_at is not None:
                 host, port = stages.host_and_port(self.foxglove_at or stages.LOOPBACK, stages.FOXGLOVE_PORT)
-                file, token = None if self.mcap is None else Path(self.mcap), self.foxglove_token or ""
-                shown = stages.FoxgloveStream(sensor, host if is_served else None, port, file, token)
+                shown = stages.FoxgloveStream(sensor, host, port, self.foxglove_token or "")
                 streams.append(stack.enter_context(shown))
-                if is_served:
-                    current().say(f"Foxglove: open ws://{host}:{shown.port}; {stages.reachable(host)}")
+                current().say(f"Foxglove: open ws://{host}:{shown.port}; {stages.reachable(host)}")
+            if self.mcap is not None:
+                streams.append(stack.enter_context(stages.Ros2Stream(sensor, Path(self.mcap))))
             if (is_served := self.rerun or self.rerun_at is not None) or self.rrd is not None:
                 host, port = stages.host_and_port(self.rerun_at or stages.LOOPBACK, stages.RERUN_PORT)
                 file = None if self.rrd is None else Path(self.rrd)

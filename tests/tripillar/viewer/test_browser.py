@@ -11,12 +11,13 @@ import pytest
 from PIL import Image
 
 from fem.pictures.deformation import DeformedPicture
+from tests.house import PATIENT_S
 from tests.tripillar.viewer.conftest import a_feed, a_scan, serving
 from tripillar.viewer import saving
 
 api = pytest.importorskip("playwright.sync_api")
 
-PATIENT_MS = 30_000  # a busy machine may take this long for what takes a tenth of a second
+PATIENT_MS = 1e3 * PATIENT_S
 api.expect.set_options(timeout=PATIENT_MS)
 #: bytes of the picture that is shown, small enough to compare
 SHOWN = """async () => {
@@ -203,7 +204,7 @@ def test_a_saved_page_shows_the_array_without_a_network(page_file, browser, tmp_
         page = context.new_page()
         page.on("request", lambda request: asked.append(request.url))
         page.goto(page_file.as_uri())
-        page.wait_for_selector("canvas", timeout=60_000)
+        page.wait_for_selector("canvas", timeout=PATIENT_MS)
         assert page.title() == "TriPillar: 1 MPa on every pad, 3 MPa on every pad"
         for words in ("3 MPa on every pad", "vertical displacement of the pillars [mm]", "displacement × 2"):
             assert page.locator("main").get_by_text(words, exact=words[0] == "3").is_visible()

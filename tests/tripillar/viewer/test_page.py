@@ -20,6 +20,7 @@ from geometry.layout import LAYOUTS, rest_lengths, unit_centres
 from hardware.link.frames import Info, ScanMode
 from tests.decoupler.synthetic_sensor import labelled, sensor
 from tests.hardware.boards import recording_from_resistances
+from tests.house import PATIENT_S
 from tests.tripillar.viewer.conftest import DESIGN, a_feed, a_scan
 from tripillar.viewer.page.page import Page
 from tripillar.viewer.page.scene import TITLES, ArrayScene
@@ -102,7 +103,7 @@ def test_the_newest_scan_is_decoupled_and_a_recording_ends_and_plays_again(tmp_p
     with SensorFeed(str(path), model) as feed:
         feed.listeners.add(lambda: heard.append(feed.link))
         for _ in range(2):
-            feed.scan, end_s = None, time.monotonic() + 20
+            feed.scan, end_s = None, time.monotonic() + PATIENT_S
             while not (feed.look() and feed.ended) and time.monotonic() < end_s:
                 time.sleep(0.01)
             assert (feed.link, feed.trouble, feed.faults) == ("recording ended", "", [])

@@ -4,7 +4,6 @@ import asyncio
 import json
 import signal
 import subprocess
-import time
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from hardware.boards.python_board import PythonBoard
 from hardware.boards.simulated import STEP_S, PressAndSlide, press_and_slide
 from hardware.link.frames import Info, ScanMode
 from hardware.readout.calibration import Electronics
-from tests.house import House
+from tests.house import PATIENT_S, House
 from tests.tripillar.viewer.conftest import DESIGN
 from tests.tripillar.viewer.visitor import Visitor
 from tripillar.face import inputs
@@ -145,10 +144,8 @@ def test_a_board_deforms_the_array_until_ctrl_c(subject, tmp_path):
         try:
             line = process.stdout.readline()
             assert line, process.stderr.read()
-            asyncio.run(asyncio.wait_for(look(json.loads(line)["url"]), 60))
+            asyncio.run(asyncio.wait_for(look(json.loads(line)["url"]), PATIENT_S))
         finally:
-            asked_s = time.monotonic()
             process.send_signal(signal.SIGINT)
-            printed, said = process.communicate(timeout=60)
-    assert time.monotonic() - asked_s < 2.0  # 0.3 s unless the machine is busy
+            printed, said = process.communicate(timeout=PATIENT_S)
     assert (process.returncode, printed, said) == (0, "", "")  # one object is all there is on stdout

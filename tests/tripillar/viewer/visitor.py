@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, suppress
 import aiohttp
 import psutil
 
-PATIENT_S = 20.0  # for a busy machine
+from tests.house import PATIENT_S
 
 
 class Visitor:
