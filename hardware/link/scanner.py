@@ -72,10 +72,9 @@ class Link:
             self._ask(self._port)
             data = self._port.read(max(1, self._port.in_waiting))
         except PORT_FAULTS as error:
-            gone = f"the port is gone ({error}): plug it in again."
             if self._open_again is None:
-                raise PortError(gone) from error
-            self.fault = f"disconnected, trying again: {gone}"
+                raise PortError("the port is gone: plug the board in again.") from error
+            self.fault = "disconnected: plug the board in again"
             self.close()
             return b""
         self.is_finished = not data and getattr(self._port, "finished", False)
@@ -252,7 +251,7 @@ class Scanner:
         """Why no scans come, in one line; None as long as they do."""
         with self._changed:
             if self._error:
-                return f"{type(self._error).__name__}: {self._error}"
+                return str(self._error)
             return self._link.fault or self._link.reception.trouble
 
     def errors(self) -> Errors | None:

@@ -28,7 +28,7 @@ from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
 from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
 from hardware.link.lines import LineDecoder, counted, ranged
-from hardware.recording.recorded import Header, Recording, is_restart, read_header, unwrapped_s
+from hardware.recording.recorded import MADE_FROM, Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
 _BOARD_FRAME, _BOARD_INFO, _BOARD_ERRORS = b"D", b"I", b"E"
@@ -172,12 +172,16 @@ class Recorder:
         if stated is None:
             raise FileFormatError(f"{self.path}: not made by a recorder: record to a new file.")
         there = read_header(stated, str(self.path))
-        for name, new in vars(self.header).items():
-            if (old := getattr(there, name)) != new:
-                raise FileFormatError(
-                    f"{self.path}: recorded with {name} {old!r}, not {new!r}: give another file, "
-                    "a recording has one board, one calibration and one model."
-                )
+        old, new = there.plain(), self.header.plain()
+        differing = [name for name in new if old[name] != new[name]]
+        if differing:
+            name = differing[0]
+            is_text = name in ("calibration", *MADE_FROM)
+            what = f"another {name.replace('_', ' ')}, or none" if is_text else f"{name} {old[name]}, not {new[name]}"
+            raise FileFormatError(
+                f"{self.path}: recorded with {what}: give another file, a recording has one board, one calibration and "
+                "one model."
+            )
 
 
 def _reason(error: OSError) -> str:

@@ -47,7 +47,7 @@ def another(**changes):
 
 
 UNPLUGGED, PLUGGED, ITSELF = {"is_plugged": False}, {"is_plugged": True}, {"device": None}
-GONE = "disconnected, trying again: the port is gone"
+GONE = "disconnected: plug the board in again"
 NOISE = np.random.default_rng(1).bytes(232)
 FAULTS = [  # what happens one after another, what is told, what mends it, what is counted then; None: some
     ([], None, {}, {}),

@@ -112,6 +112,20 @@ def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most
     assert capsys.readouterr().out.endswith("stuck\n")  # in a file, too, the last line has an end
 
 
+def test_forces_of_a_sensor_that_is_silent_are_grey_and_it_is_said_since_when(monkeypatch, capsys):
+    scanner = SimpleNamespace(
+        info=Info(rows=1, cols=2), trouble="disconnected: plug the board in again", stats=LinkStatistics(), ended=False
+    )
+    sensor = LiveSensor(scanner, Model(), SensorCalibration.as_designed(1, 2))
+    monkeypatch.setattr(force_view, "scans_within", lambda *_: iter([scan(0), None]))
+    times_s = iter([0.0, 10.0, 10.0, 10.0, 17.0, 17.0])
+    monkeypatch.setattr(force_view.time, "monotonic", lambda: next(times_s))
+    force_view.show_forces(sensor, 1.0)
+    assert "no scan for 7 s\ndisconnected: plug the board in again\n" in capsys.readouterr().out
+    grey, coloured = (force_view.force_table(np.full((1, 1, 1), 5.0), ("z",), 9.0, stale) for stale in (True, False))
+    assert ([cell.style for cell in grey.columns[0].cells] == ["dim"]) > ("dim" in str(coloured.columns[0].cells))
+
+
 def test_the_rate_is_the_boards_while_a_backlog_is_caught_up_with():
     """150 Hz on the board's clock, which turns over meanwhile; all received at once, some of a run before."""
     scans = [scan(0, us=5), *(scan(0, (2**32 - 20_000 + k * 10**6 // RATE_HZ) % 2**32, run=1) for k in range(64))]

@@ -73,8 +73,9 @@ def info(
             return result
     shown = {name: value for name, value in measured.items() if name not in ("latency_ms", "statistics")}
     shown |= {f"latency_{name}_ms": value for name, value in (measured["latency_ms"] or {}).items()}
-    tables = {"The board's link": shown, "What was met": measured["statistics"]}
-    caller.answer(lambda: measured, lambda: [stages.plain_table(title, row) for title, row in tables.items()])
+    lines = [f"{name:18} {f'{value:.3g}' if isinstance(value, float) else value}" for name, value in shown.items()]
+    met = [f"{name:18} {value}" for name, value in measured["statistics"].items()]
+    caller.answer(lambda: measured, "\n".join([*lines, "", "what was met", *met]))
     return measured
 
 
@@ -127,6 +128,8 @@ def watch(
             if caller.as_json:
                 stages.print_lines(sensor, seconds, streams, describe)
             else:
+                if caller.is_typed and not sys.stdout.isatty():
+                    caller.say("stdout is no terminal: it gets the last picture alone; --json prints a line a scan")
                 stages.show_forces(sensor, seconds, streams)
 
 

@@ -136,7 +136,6 @@ if TYPE_CHECKING:
     from tripillar.sweep.sweep_file import Sweep, read_sweep
     from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, told, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
-    from tripillar.terminal.tables import plain_table
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces
     from tripillar.viewer.page.server import serve

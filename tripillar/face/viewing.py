@@ -18,7 +18,18 @@ from common.storage.files import digest
 from geometry.design import SensorDesign, with_model
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import BodyLike, DesignLike, File, Flag, Options, design_of, job, model_of, require_packages
+from tripillar.face.inputs import (
+    BOARD,
+    BodyLike,
+    DesignLike,
+    File,
+    Flag,
+    Options,
+    design_of,
+    job,
+    model_of,
+    require_packages,
+)  # fmt: skip
 from tripillar.terminal.interrupts import leave_at_once
 
 if TYPE_CHECKING:
@@ -48,7 +59,7 @@ class Served:
     http_port: int = quantity(8080, "port of the page; 0: any free one")
     port: str | None = quantity(None, "sensor to show: a port as of 'live', or a recording")
     model: File | None = quantity(None, "model file that reads the forces of that sensor, which needs one")
-    calibration: File | None = quantity(None, "calibration file of that sensor")
+    rubber: File | None = quantity(None, "rubber file whose memory is taken out of its readings, as of 'live'")
 
     def __post_init__(self) -> None:
         if not 0 <= self.http_port < 2**16:
@@ -57,8 +68,8 @@ class Served:
             raise DesignError("host= is empty: give an address of this machine, such as 127.0.0.1.")
         if self.port is not None and self.model is None:
             raise DesignError("port= needs model=: the model that turns the sensor's resistances into forces.")
-        if self.port is None and self.calibration is not None:
-            raise DesignError("calibration= is of a sensor: give its port= too, or a recording of it.")
+        if self.port is None and self.rubber is not None:
+            raise DesignError("rubber= is of a sensor: give its port= too, or a recording of it.")
 
 
 PAGE = Options(Served)
@@ -79,7 +90,7 @@ def view(
     camera: Literal["iso", "top", "front", "side"] = "iso",
     serve: bool = False,
     design: DesignLike | None = None,
-    **page: Annotated[Any, PAGE],
+    **page: Annotated[Any, PAGE, BOARD],
 ) -> dict[str, float]:
     """Show a sensor or a scene deformed: in a window, a file or a web page.
 
@@ -106,7 +117,7 @@ def view(
     design : SensorDesign or path, optional
         Design file (TOML), in place of the argument.
     **page
-        Fields of `viewing.Served`, with serve: host, http_port, port, model, calibration.
+        Fields of `viewing.Served` and, of the sensor that it shows, of `inputs.Board`; with serve.
 
     Returns
     -------
@@ -126,16 +137,18 @@ def view(
     caller, start = current(), perf_counter()
     if body is not None and design is not None:
         raise DesignError(f"{body} and design={design} both say what to show: give one of them.")
-    served, usual = PAGE.of(page), {"colour": "displacement", "scale": "true", "camera": "iso"}
+    served, link, usual = PAGE.of(page), BOARD.of(page), {"colour": "displacement", "scale": "true", "camera": "iso"}
     drawn = {"save": save, "pressure_mpa": pressure_mpa, "load": load, "colour": colour, "scale": scale}
     drawn = {name: each for name, each in (drawn | {"camera": camera}).items() if each != usual.get(name)}
-    if surplus := ", ".join(f"{name}=" for name in (drawn if serve else served)):
+    if surplus := ", ".join(f"{name}=" for name in (drawn if serve else served | link)):
         if serve:
             raise DesignError(f"the page of serve=True has controls of its own: leave {surplus} out.")
         raise DesignError(f"add serve=True, whose page these are for, or leave {surplus} out.")
     if serve:
+        if link and "port" not in served:
+            raise DesignError(f"{next(iter(link))}= is of a sensor: give its port= too, or a recording of it.")
         options, shown = Served(**served), body if design is None else design_of(design)
-        _serve(stages.read_body(Path(shown)) if isinstance(shown, Path | str) else shown, str(shown), options)
+        _serve(stages.read_body(Path(shown)) if isinstance(shown, Path | str) else shown, str(shown), options, link)
         return {}
     pressures, factor, file = _pressures(pressure_mpa), _factor(scale), None if save is None else Path(save)
     _require_shown(file)
@@ -213,7 +226,7 @@ def _shown(
     return panels, factor
 
 
-def _serve(body: "SensorDesign | stages.Scene | None", name: str, page: Served) -> None:
+def _serve(body: "SensorDesign | stages.Scene | None", name: str, page: Served, link: dict[str, Any]) -> None:
     """Serve the page of a design, by default the model's or the paper's, until Ctrl-C; prints its address."""
     if isinstance(body, stages.Scene):
         raise DesignError(f"{name} is a scene; the page of serve=True loads the pads of a design: give one, or none.")
@@ -230,7 +243,7 @@ def _serve(body: "SensorDesign | stages.Scene | None", name: str, page: Served) 
             caller.say("the page shows linear rubber: take save= for a picture at finite strain")
         feed = None
         if page.port is not None and decoder is not None:
-            feed = stack.enter_context(stages.SensorFeed(page.port, decoder, page.calibration))
+            feed = stack.enter_context(stages.SensorFeed(page.port, decoder, rubber=page.rubber, **link))
         with caller.bars:
             _, response = stages.respond(with_model(design, "linear"), caller.bars)
             advance = caller.bars.begin("page", total=2)

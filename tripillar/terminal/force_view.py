@@ -25,6 +25,7 @@ ARROWS = "→↗↑↖←↙↓↘"  #: of shear, by eighths of a turn from +x
 MIN_SHEAR = 0.02  #: of the largest force, to draw an arrow
 SHOWN_S = 0.1  #: between two pictures
 RENEWED_S = 0.1  #: between two calculations of the deviations, which take twenty times as long as the forces
+STALE_S = 1.0  #: without a scan, after which the forces shown are no longer so, and grey
 RATE_OVER = 64  #: scans whose pace is the rate shown
 #: drawn brightest at least, so that noise at rest stays dark: so much, or a share of what a softer one feels
 MIN_FULL_SCALE_N, MIN_FULL_SCALE = 10.0, 0.3
@@ -35,11 +36,12 @@ def digits_of(largest_n: float) -> int:
     return 1 if abs(largest_n) >= 10.0 else 2
 
 
-def force_table(force_n: FloatArray, axes: tuple[str, ...], full_scale_n: float) -> Table:
-    """Units as they lie on the table before you: y up, x to the right; forces (rows, cols, k) [N]."""
+def force_table(force_n: FloatArray, axes: tuple[str, ...], full_scale_n: float, is_stale: bool = False) -> Table:
+    """Units as they lie on the table before you: y up, x to the right; forces (rows, cols, k) [N]; stale ones grey."""
     table = Table.grid(padding=0)
     for row in force_n[::-1]:
-        table.add_row(*(_cell(dict(zip(axes, unit, strict=True)), full_scale_n) for unit in row.tolist()))
+        cells = [_cell(dict(zip(axes, unit, strict=True)), full_scale_n) for unit in row.tolist()]
+        table.add_row(*(Text(cell.plain, style="dim") if is_stale else cell for cell in cells))
     return table
 
 
@@ -61,6 +63,7 @@ def live_view(
     rate_hz: float,
     stats: LinkStatistics,
     notes: list[str],
+    is_stale: bool = False,
 ) -> RenderableType:
     """The terminal's picture: the table, net load, the link's counts, and what is wrong, if anything."""
     wrench, deviation_n = scan.wrench, scan.deviation_n
@@ -79,7 +82,7 @@ def live_view(
     arrows = "" if axes == ("z",) else ", arrows: shear"
     head = Text(f"{number} [N]{arrows}; {full_scale_n:.3g} N is brightest", style="dim")
     pressed = Text(f"centre of pressure {_centre(wrench)}{unsure}")
-    lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n), Text(sums)]
+    lines: list[RenderableType] = [head, force_table(scan.force_n, axes, full_scale_n, is_stale), Text(sums)]
     remembered = [] if scan.memory_rise is None else [memory_line(scan)]
     lines += [pressed, *map(Text, contact_lines(scan) + remembered), Text(link)]
     return Group(*lines, *(Text(note, style="bold red") for note in notes))
@@ -127,17 +130,21 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
     newest: deque[Scan] = deque(maxlen=RATE_OVER)
     usual = sensor.model.output_scaling
     full_scale = min(MIN_FULL_SCALE_N, MIN_FULL_SCALE * float((np.abs(usual.centre) + usual.half_range).max()))
-    shown = 0.0
+    shown, heard = 0.0, time.monotonic()
     with Live(console=Console(), auto_refresh=False) as screen:
         for scan in scans_within(scanner, seconds):
             if scan is not None:
                 newest.append(scan)
+                heard = time.monotonic()
                 if streams:
                     frame = _sent(sensor.forces(scan, RENEWED_S), streams)
             if time.monotonic() - shown < SHOWN_S:
                 continue
             shown = time.monotonic()
-            notes = [*filter(None, [scanner.trouble, scanner.stats.clock_said])]
+            silent_s = shown - heard
+            is_stale = silent_s > STALE_S and not scanner.ended
+            since = f"no scan for {silent_s:.0f} s" if is_stale else None
+            notes = [*filter(None, [since, scanner.trouble, scanner.stats.clock_said])]
             if newest and not streams:
                 frame = sensor.forces(newest[-1], RENEWED_S)
             if frame is None:
@@ -145,7 +152,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
                 continue
             notes += notes_on(frame)
             full_scale = max(full_scale, float(abs(frame.force_n).max()))
-            view = live_view(frame, axes, full_scale, pace(newest), scanner.stats, notes)
+            view = live_view(frame, axes, full_scale, pace(newest), scanner.stats, notes, is_stale)
             screen.update(view, refresh=True)
     if not screen.console.is_terminal:  # on one, `Live` ends the line itself
         screen.console.line()

@@ -53,6 +53,7 @@ def panels(subject):
 def a_feed(**said):
     """A recording that is over."""
     silent = {"port": "/dev/ttyACM0", "scan": None, "trouble": "", "link": "", "ended": True, "play_again": None}
+    silent |= {"is_stale": False}
     return SimpleNamespace(**silent | {"faults": [], "contacts": [], "listeners": set()} | said)
 
 

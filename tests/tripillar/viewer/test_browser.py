@@ -153,19 +153,20 @@ def test_a_load_is_set_shown_taken_away_and_put_back_also_over_a_lost_connection
 def test_a_phone_shows_faults_until_pads_load_the_array_and_plays_a_recording_again(subject, browser):
     """Nothing is cut off at the sides; one touch shows the results, on the first screen."""
     asked, faults = [], ["row wire 3 open: 6 pillars of row 1", "χ² 12.3: other sensor?"]
-    feed = a_feed(faults=faults, link="149 scans/s, 0 lost", play_again=lambda: asked.append("again"))
+    feed = a_feed(faults=faults, link="149 scans/s, 0 lost", is_stale=True, play_again=lambda: asked.append("again"))
     options = {"viewport": {"width": 390, "height": 844}, "color_scheme": "dark"}
     with serving(replace(subject, feed=feed)) as url, looking_at(browser, url, **options) as page:
         page.goto(url)
         api.expect(page.locator("#faults li")).to_have_text(faults)
         api.expect(page.locator("#faults")).to_be_in_viewport(ratio=1.0)
         api.expect(page.locator("#link")).to_have_text("149 scans/s, 0 lost")
-        page.wait_for_selector("html.dark")
+        page.wait_for_selector("html.dark.stale")
         page.click("#play-again")
         waited_for(page, lambda: asked == ["again"])
         page.click("#by-pads")
         api.expect(page.locator("#faults")).to_be_hidden()
         api.expect(page.locator("#pressure")).to_be_visible()
+        page.wait_for_selector("html:not(.stale)")
         page.click(".sides label:last-child")
         api.expect(page.locator("#strain")).to_be_in_viewport(ratio=1.0)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

@@ -1,7 +1,9 @@
 """What acts on the page's array, its readings, and its scene, moved by the field and coloured by it."""
 
 import time
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,10 +20,12 @@ from fem.pictures.parts import APART, COARSE, pillar_surface
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import LAYOUTS, rest_lengths, unit_centres
 from hardware.link.frames import Info, ScanMode
+from hardware.link.reception import LinkStatistics
 from tests.decoupler.synthetic_sensor import labelled, sensor
 from tests.hardware.boards import recording_from_resistances
 from tests.house import PATIENT_S
 from tests.tripillar.viewer.conftest import DESIGN, a_feed, a_scan
+from tripillar.viewer.page import sensing
 from tripillar.viewer.page.page import Page
 from tripillar.viewer.page.scene import TITLES, ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, moments, tractions
@@ -114,6 +118,20 @@ def test_the_newest_scan_is_decoupled_and_a_recording_ends_and_plays_again(tmp_p
             assert not feed.look()  # no scan is taken twice
             assert heard[-1] == "recording ended"
             feed.play_again()
+
+
+def test_of_a_sensor_that_is_silent_it_is_said_since_when_and_why(monkeypatch):
+    scanner = SimpleNamespace(get=lambda timeout: None, trouble=None, ended=False, stats=LinkStatistics())
+    monkeypatch.setattr(sensing, "live", lambda *_, **__: nullcontext(SimpleNamespace(scanner=scanner)))
+    now_s = iter([0.0, 0.5, 3.2, 7.4])
+    with SensorFeed("port", None, clock=lambda: next(now_s)) as feed:
+        assert (feed.look(), feed.is_stale, feed.link) == (True, False, "0 scans/s, 0 lost")
+        assert (feed.look(), feed.is_stale, feed.link) == (True, True, "no scan for 3 s")
+        scanner.trouble = "disconnected: plug the board in again"
+        assert (feed.look(), feed.link) == (True, "no scan for 7 s: disconnected: plug the board in again")
+
+
+def test_unknown_forces_count_as_no_traction():
     force = np.full((2, 2, 3), 144.0) * [np.nan, np.nan, 1.0]
     np.testing.assert_allclose(tractions(force, SQUARE), np.tile([0.0, 0.0, -1.0], (4, 1)))  # 144 mm² pads
 

@@ -126,6 +126,7 @@ function showTexts() {
   for (const element of all("[data-text]")) text(element, said[element.dataset.text] ?? "");
   for (const name of ["contacts", "faults"]) fill(byId(name), said[name] ?? [], "li", text);
   byId("play-again").hidden = !said.ended;
+  document.documentElement.classList.toggle("stale", said.is_stale ?? false);
   fill(byId("legend"), said.legend ?? [], "div", (element, { title, colours, labels }) => {
     element.className = "key";
     text(part(element, 0, "span"), title);

@@ -248,6 +248,7 @@ class Page:
         if feed is not None:
             of_scan = {"faults": feed.faults, "contacts": feed.contacts} if controls["source"] == "sensor" else {}
             shown |= {"link": feed.link, "ended": feed.ended, "faults": [], "contacts": []} | of_scan
+            shown["is_stale"] = feed.is_stale and controls["source"] == "sensor"
             shown["trouble"] = feed.trouble
         return shown
 

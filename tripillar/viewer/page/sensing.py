@@ -1,5 +1,6 @@
 """The resistances and forces that the page shows: of the array as simulated, or of a sensor live or recorded."""
 
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -31,7 +32,7 @@ from hardware.link.reception import Scan
 from hardware.readout.forces import Forces
 from hardware.readout.wrench import OF_MOMENTS, on_all_axes
 from hardware.session import live
-from tripillar.terminal.force_view import RATE_OVER, RENEWED_S, contact_lines, notes_on, pace
+from tripillar.terminal.force_view import RATE_OVER, RENEWED_S, STALE_S, contact_lines, notes_on, pace
 
 LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
@@ -137,25 +138,30 @@ def moments(load_nmm: FloatArray | None) -> FloatArray | None:
 class SensorFeed:
     """The board on a port or the frames of a recording, for all who look at the page.
 
-    Open from entering to leaving the with block; each `look` renews `scan`, `trouble`, `link`, `faults` and `ended`,
-    and calls `listeners` where one has changed. Forces of `scan` are along x, y and z, NaN where the model gives none.
-    Parameters and errors are those of `hardware.session.live`.
+    Open from entering to leaving the with block; each `look` renews `scan`, `trouble`, `link`, `is_stale`, `faults` and
+    `ended`, and calls `listeners` where one has changed. Forces of `scan` are along x, y and z, NaN where the model
+    gives none. Parameters and errors are those of `hardware.session.live`.
     """
 
-    def __init__(self, port: str, model: Decoder, calibration: Path | str | None = None, **settings: Any) -> None:
+    def __init__(
+        self, port: str, model: Decoder, calibration: Path | str | None = None,
+        clock: Callable[[], float] = time.monotonic, **settings: Any,
+    ) -> None:  # fmt: skip
         self.port = port
         self.scan: Forces | None = None
         self.trouble = self.link = ""  #: of the newest scan; rate and losses, or why no scans come
         self.faults: list[str] = []  #: what is wrong with the newest scan, in words
         self.contacts: list[str] = []  #: what a decoder of touch finds in it, in words
         self.ended = False  #: a recording has been played to its end
+        self.is_stale = False  #: no scan has come for `STALE_S`, so what is shown is no longer so
         self.listeners: set[Callable[[], None]] = set()
         self._given, self._settings = (port, model, calibration), settings
-        self._open = ExitStack()
+        self._open, self._clock = ExitStack(), clock
         self._newest: deque[Scan] = deque(maxlen=RATE_OVER)
 
     def __enter__(self) -> Self:
         self._sensor = self._open.enter_context(live(*self._given, **self._settings))
+        self._heard_s = self._clock()
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -176,9 +182,13 @@ class SensorFeed:
                 self.scan = replace(found, force_n=on_all_axes(found.force_n, axes), stated=(half_n, None))
         except TriPillarError as error:  # of one scan; the next may be sound
             self.trouble, last = str(error), None
+        now_s = self._clock()
+        self._heard_s = now_s if last is not None else self._heard_s
         told = f"{pace(self._newest):.0f} scans/s, {scanner.stats.lost} lost"
-        self.link = "recording ended" if scanner.ended else scanner.trouble or told
-        self.ended = scanner.ended
+        self.ended, self.is_stale = scanner.ended, not scanner.ended and now_s - self._heard_s > STALE_S
+        if self.is_stale:
+            told = f"no scan for {now_s - self._heard_s:.0f} s{f': {scanner.trouble}' if scanner.trouble else ''}"
+        self.link = "recording ended" if scanner.ended else told
         is_new = last is not None or before != (self.trouble, self.link, self.ended)
         for tell in list(self.listeners) if is_new else ():
             tell()
