@@ -15,7 +15,7 @@ from geometry.design import PAD_KINDS, SensorDesign
 from studies.program import run_alone
 from studies.tables import report
 from tripillar.pipeline.stage import respond
-from tripillar.sweep.judge import metrics_of
+from tripillar.sweeps.judge import metrics_of
 from tripillar.terminal.progress import Bars
 
 PROTOCOLS = ("contact", "three-axis")

@@ -32,7 +32,7 @@ from hardware.recording.frames_file import read_recording
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
 from tests.decoupler.test_rubber import bench
 from tests.hardware.boards import recording_from_resistances
-from tripillar.sweep.sweep_file import read_sweep
+from tripillar.sweeps.sweep_file import read_sweep
 
 SENSOR = sensor(1, 2)
 DATA = labelled(SENSOR, "xyz", 12, seed=0)

@@ -35,7 +35,7 @@ ROOMS = {
     "fem": "meshes kernel conduction scene finite array contact methods pictures",
     "decoupler": "data rubber inverse model training twin evaluation touch export",
     "hardware": "link recording readout streams virtual boards",
-    "tripillar": "terminal pipeline doctor datasets sweep viewer simulators face cli",
+    "tripillar": "terminal pipeline doctor datasets sweeps viewer simulators face cli",
     "studies": "pictures bench edge_cases paper robustness real_rubber",
 }
 

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from tripillar.face.learning import evaluate, train
     from tripillar.face.samples import dataset
     from tripillar.face.simulating import board
+    from tripillar.face.studying import sweep
     from tripillar.face.viewing import view
 
     __version__: str
@@ -81,6 +82,7 @@ __all__ = [
     "replay",
     "response",
     "solve",
+    "sweep",
     "train",
     "view",
     "write",

@@ -18,7 +18,7 @@ from geometry.prism import Prism, unit_prisms
 from geometry.wiring import crossings, pillar_of_crossing, wires
 from studies.charts import new_figure, save
 from studies.program import run_alone
-from tripillar.sweep.judge import own_axes
+from tripillar.sweeps.judge import own_axes
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
 GREY = "#7f7f7f"

@@ -34,7 +34,7 @@ from hardware.link.frames import Info
 from hardware.readout.calibration import read_calibration
 from hardware.recording import Recorder, read_recording
 from tests.house import House
-from tripillar.sweep.sweep_file import read_sweep
+from tripillar.sweeps.sweep_file import read_sweep
 
 READERS = {
     "design.toml": read_design, "scene.toml": read_scene, "sweep.toml": read_sweep, "rubber.toml": read_rubber,

@@ -16,7 +16,7 @@ from geometry import FileFormatError
 from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
 from tests.decoupler.synthetic_sensor import response
 from tests.tripillar.made_files import SMALL, a_dataset, a_model
-from tripillar.sweep.rows import Row
+from tripillar.sweeps.rows import Row
 
 FLIPS = 60
 

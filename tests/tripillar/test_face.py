@@ -16,7 +16,7 @@ from geometry import Array
 from geometry.design import Pad
 from tests.docs.terminal import ROOT
 
-MAX_NAMES = 20
+MAX_NAMES = 24
 HEAVY = ["torch", "vtkmodules", "pyvista", "OCP", "build123d", "xarray", "scipy"]
 IMPORT_S = 0.3  #: of processor time
 DESIGN = replace(tp.SensorDesign(), array=replace(tp.SensorDesign().array, rows=1, cols=2))

@@ -14,7 +14,7 @@ from geometry.design import Array, SensorDesign, Unit
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
 from tripillar.face.caller import Caller, called_by
-from tripillar.sweep.judge import metrics_of
+from tripillar.sweeps.judge import metrics_of
 from tripillar.viewer.page.sensing import inverse_forces
 
 READ = ("--noise", "0.001", "--bits", "12")

@@ -13,8 +13,8 @@ from hardware.boards.sensor_header import fastest_hz
 from tests.docs.terminal import ROOT
 from tests.house import House
 from tripillar.face.bodies import READY, Purpose, design
-from tripillar.sweep.judge import made_of
-from tripillar.sweep.sweep_file import read_sweep
+from tripillar.sweeps.judge import made_of
+from tripillar.sweeps.sweep_file import read_sweep
 
 PURPOSES = get_args(Purpose)
 

@@ -129,12 +129,12 @@ if TYPE_CHECKING:
     from tripillar.pipeline.stage import Stage, meshed, respond
     from tripillar.datasets.finite_samples import simulate_finite
     from tripillar.datasets.leaves import LeafJob, make_directory
-    from tripillar.sweep.optimize import search
-    from tripillar.sweep.rows import Row, write_parquet
-    from tripillar.sweep.run import judge_all, kept_rows
-    from tripillar.sweep.sampling import samples_of as samples_of_sweep
-    from tripillar.sweep.sweep_file import Sweep, read_sweep
-    from tripillar.sweep.trade_offs import best_tables, draw_pareto, ranked, reasons, told, untold
+    from tripillar.sweeps.optimize import search
+    from tripillar.sweeps.rows import Row, write_parquet
+    from tripillar.sweeps.run import judge_all, kept_rows
+    from tripillar.sweeps.sampling import samples_of as samples_of_sweep
+    from tripillar.sweeps.sweep_file import Sweep, read_sweep
+    from tripillar.sweeps.trade_offs import best_tables, draw_pareto, ranked, reasons, told, untold
     from tripillar.terminal.force_view import memory_line, print_lines, show_forces
     from tripillar.viewer.page.page import Subject
     from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, net_forces

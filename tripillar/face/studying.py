@@ -91,7 +91,26 @@ def sweep(
     Returns
     -------
     list of Row
-        The designs with their measures; of a search the best one first.
+        The designs with their measures: those within the bounds first, the best of them at the head; of a search these
+        alone.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> import tripillar as tp
+    >>> folder = Path(mkdtemp())
+    >>> _ = (folder / "heights.toml").write_text('''
+    ... design = { array = { rows = 1, cols = 2 } }
+    ... sweep = { sampling = "grid", noise = 1e-3, bits = 12 }
+    ... bounds = { range_n = { least = 300.0 } }
+    ... [[vary]]
+    ... key = "unit.height_mm"
+    ... values = [8.0, 10.0]
+    ... ''')
+    >>> best, *others = tp.sweep(folder / "heights.toml", out=folder, workers=1)
+    >>> best.values, len(others), bool(best.metrics["error_n"] <= others[0].metrics["error_n"])
+    ({'unit.height_mm': 10.0}, 1, True)
     """
     caller, source, folder = current(), Path(file), Path(out)
     stages.require_pool(workers, scheduler)
@@ -128,7 +147,8 @@ def sweep(
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
         caller.say(line)
-    return rows
+    within = stages.ranked(rows, asked)
+    return [*within, *(row for row in rows if row not in within)]
 
 
 def _optimized(

@@ -11,6 +11,7 @@ from geometry.layout import AXES
 from tripillar.face import stages
 
 MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
+NO_SHARE = "–: some pads of these samples bear no load, of which no error is a share (eq. 17)"
 ERRORS = ("relative error", "RMSE [N]", "% of full scale")
 
 
@@ -70,6 +71,8 @@ def assessment_table(assessed: "Mapping[str, stages.Assessment]") -> Table:
     """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
     shares = [f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}" for name, one in assessed.items()]
     caption = f"errors within the 68 % and 95 % deviation: {', '.join(shares)}"
+    if any(one.errors.rel_err is None for one in assessed.values()):
+        caption += f"\n{NO_SHARE}"
     table = _headed(("force", "decoupler"), (*ERRORS, "times the limit"), caption=caption)
     for name, one in assessed.items():
         table.add_row(name, "this model", *_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
@@ -98,7 +101,8 @@ def assessed_touch_tables(found: "stages.TouchAssessment") -> list[Table]:
 def crossval_table(tested: "list[stages.Fold]") -> Table:
     """Errors of every fold, their mean and their spread."""
     title = f"{len(tested)}-fold cross-validation"
-    table = _headed((), ("fold", "force", *ERRORS, "iterations", "seconds"), title=title)
+    caption = NO_SHARE if any(each.rel_err is None for fold in tested for each in fold.errors.values()) else None
+    table = _headed((), ("fold", "force", *ERRORS, "iterations", "seconds"), title=title, caption=caption)
     for number, fold in enumerate(tested, 1):
         for row, (name, errors) in enumerate(fold.errors.items()):
             trained = ("", "") if row else (str(fold.iterations), f"{fold.seconds:.1f}")

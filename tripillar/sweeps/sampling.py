@@ -10,8 +10,8 @@ from common.storage.files import digest
 from fem.array.solving import ResponseSettings, response_cache_key
 from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
-from tripillar.sweep.sweep_file import Judging, Sweep
-from tripillar.sweep.variables import table_of, value_of, with_values
+from tripillar.sweeps.sweep_file import Judging, Sweep
+from tripillar.sweeps.variables import table_of, value_of, with_values
 
 VERSION = 4  #: raise when the same design and settings give other metrics, so that kept rows are not reused
 

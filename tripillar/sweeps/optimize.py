@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 from common.pool import Pool
 from common.storage.journal import Journal
-from tripillar.sweep.rows import Row
-from tripillar.sweep.run import judge_all, kept_rows
-from tripillar.sweep.sampling import sample_at
-from tripillar.sweep.sweep_file import Sweep
+from tripillar.sweeps.rows import Row
+from tripillar.sweeps.run import judge_all, kept_rows
+from tripillar.sweeps.sampling import sample_at
+from tripillar.sweeps.sweep_file import Sweep
 
 START = 16  #: trials drawn evenly before the search leans on any
 BATCH = 4  #: trials asked for at a time

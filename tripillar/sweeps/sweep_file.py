@@ -16,8 +16,8 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_from_dict
 from geometry.layout import Layout
 from geometry.layout_file import layout_from_tables
-from tripillar.sweep.rows import Metric, metrics_for
-from tripillar.sweep.variables import CHOICES, Variable
+from tripillar.sweeps.rows import Metric, metrics_for
+from tripillar.sweeps.variables import CHOICES, Variable
 
 STRICT = StrictTables(DesignError)
 MAX_SAMPLES = 100_000  #: rows of one sweep

@@ -9,9 +9,9 @@ from rich.table import Table
 
 from common.storage.files import replacing
 from geometry.layout import FloatArray
-from tripillar.sweep.rows import Row, column
-from tripillar.sweep.sweep_file import Sweep
-from tripillar.sweep.variables import Variable
+from tripillar.sweeps.rows import Row, column
+from tripillar.sweeps.sweep_file import Sweep
+from tripillar.sweeps.variables import Variable
 
 #: metrics of the table, beside what is minimised and bounded
 SHOWN = (

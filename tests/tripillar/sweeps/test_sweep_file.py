@@ -10,9 +10,9 @@ from geometry.design import SensorDesign, Unit
 from geometry.design_file import design_to_toml
 from geometry.layout import LAYOUTS, Layout
 from tests.docs.terminal import ROOT
-from tripillar.sweep.sampling import points_of, row_key, sample_at, samples_of
-from tripillar.sweep.sweep_file import Bound, Judging, read_sweep, sweep_from_dict
-from tripillar.sweep.variables import KEYS, Variable, value_of, with_values
+from tripillar.sweeps.sampling import points_of, row_key, sample_at, samples_of
+from tripillar.sweeps.sweep_file import Bound, Judging, read_sweep, sweep_from_dict
+from tripillar.sweeps.variables import KEYS, Variable, value_of, with_values
 
 PITCH = {"key": "array.pitch_mm", "low": 13.0, "high": 20.0}
 PAD = {"key": "pad.size_mm", "of": "array.pitch_mm", "low": 0.5, "high": 1.0}

@@ -29,9 +29,9 @@ from geometry.design_file import design_to_toml
 from geometry.layout import AXES, FloatArray, pillar_vectors, untold
 from geometry.wiring import wires
 from hardware.boards.sensor_header import fastest_hz
-from tripillar.sweep.rows import DISTANCES, Row
-from tripillar.sweep.sampling import Sample
-from tripillar.sweep.sweep_file import Judging
+from tripillar.sweeps.rows import DISTANCES, Row
+from tripillar.sweeps.sampling import Sample
+from tripillar.sweeps.sweep_file import Judging
 
 Judged = dict[str, float | str]  #: metrics, or why there is none
 FAR = "no unit is {} × pitch away"  #: why crosstalk is not known

@@ -11,7 +11,7 @@ from decoupler.inverse.sensor_model import SensorModel
 from fem.array.response import ArrayResponse
 from geometry.design import Array, Electrics, SensorDesign, Unit
 from geometry.layout import LAYOUTS, Layout
-from tripillar.sweep import judge
+from tripillar.sweeps import judge
 
 C = 1e-3  #: compliance of the springs [mm/N]
 FALL = 0.3  #: of the influence, each pitch

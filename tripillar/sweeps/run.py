@@ -9,10 +9,10 @@ from common.storage.journal import Journal
 from fem.array.solving import ResponseSettings, cell_cache_key, response_cache_key
 from geometry.design import lone_unit
 from geometry.mesh import mesh_cache_key, suited_settings
-from tripillar.sweep.judge import row_of, row_with
-from tripillar.sweep.rows import Row
-from tripillar.sweep.sampling import Sample
-from tripillar.sweep.sweep_file import Judging
+from tripillar.sweeps.judge import row_of, row_with
+from tripillar.sweeps.rows import Row
+from tripillar.sweeps.sampling import Sample
+from tripillar.sweeps.sweep_file import Judging
 
 
 def kept_rows(samples: Iterable[Sample], journal: Journal, retry: bool = False) -> dict[str, Row]:

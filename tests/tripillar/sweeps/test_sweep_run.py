@@ -13,13 +13,13 @@ from fem.array.closed_forms import layer_response
 from geometry.design_file import design_from_toml, read_design
 from geometry.layout import LAYOUTS
 from tests.house import House
-from tripillar.sweep import judge, run
-from tripillar.sweep.optimize import START, search
-from tripillar.sweep.rows import Row
-from tripillar.sweep.run import judge_all, kept_rows
-from tripillar.sweep.sampling import samples_of
-from tripillar.sweep.sweep_file import sweep_from_dict
-from tripillar.sweep.trade_offs import best_tables, draw_pareto
+from tripillar.sweeps import judge, run
+from tripillar.sweeps.optimize import START, search
+from tripillar.sweeps.rows import Row
+from tripillar.sweeps.run import judge_all, kept_rows
+from tripillar.sweeps.sampling import samples_of
+from tripillar.sweeps.sweep_file import sweep_from_dict
+from tripillar.sweeps.trade_offs import best_tables, draw_pareto
 
 GRID = sweep_from_dict(
     {
