@@ -1,15 +1,17 @@
-"""Samples as a CSV table, a row a sample, a column a number: written, and read whoever made it."""
+"""Samples as a table, a row a sample, a column a number: CSV or Parquet as written, CSV read whoever made it."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from itertools import chain, product
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from common.bounded import require_memory
 from common.clean import Form, form_of, read_table
-from common.errors import FileFormatError
+from common.errors import FileFormatError, needing
 from common.storage.files import replacing
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
@@ -20,6 +22,7 @@ COLUMN = re.compile(r"(?:force|resistance)_(\d+)_(\d+)_(.+)_(n|ohm)")
 SHORT = {r"f_(\d+)_(\d+)": r"force_\1_\2_z_n", r"r_(\d+)_(\d+)": r"resistance_\1_\2_z_ohm"}  #: of sensors of one axis
 KNOWN = re.compile("|".join((COLUMN.pattern, *SHORT)))
 NAMES = "name columns force_0_0_x_n and resistance_0_0_z_ohm, by row, column and axis or pillar; or f_0_0 and r_0_0"
+TABLES = (".csv", ".parquet")  #: endings of tables that are written
 LEAST_COUNT = 0.5  #: that a whole number of 0 stands for among readings that are counts
 
 
@@ -41,30 +44,52 @@ def columns_of(variables: Iterable[str], rows: int, cols: int, layout: Layout) -
 
 
 def write_table(data: AnySamples, path: Path, counted: Callable[[int], None] = lambda samples: None) -> list[str]:
-    """Write samples as CSV, whole or not at all, with the digits that give back each number; its columns.
+    """Write samples as CSV or Parquet (.parquet), whole or not at all, each number as it is; its columns.
 
     Of series each moment is a row, which begins with the number of its series and its time.
     `counted` is told the number of samples of each block. A path that ends otherwise, or that cannot be written to, is
     a `FileFormatError` or a `NotWrittenError`.
     """
     path = Path(path)
-    if path.suffix != ".csv":
-        raise FileFormatError(f"{path}: no form of a table: end the name in .csv.")
-    import pandas as pd
-
+    if path.suffix not in TABLES:
+        raise FileFormatError(f"{path}: no form of a table: end the name in {' or '.join(TABLES)}.")
     columns, first = columns_of(data.variables, *data.shape, data.layout), 0
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file, _appending(file, path.suffix) as append:
         for block in data.blocks(4 * data.leaf_size):
             flat = block.at_moments()
             numbers = [values.reshape(len(flat), -1) for values in flat.arrays().values()]
-            rows = pd.DataFrame(np.concatenate(numbers, axis=1, dtype=data.dtype), columns=columns)
+            rows = dict(zip(columns, np.concatenate(numbers, axis=1, dtype=data.dtype).T, strict=True))
             if data.time_s is not None:
-                rows.insert(0, "time_s", np.tile(data.time_s, len(block)))
-                rows.insert(0, "series", np.repeat(np.arange(first, first + len(block)), len(data.time_s)))
+                numbered = np.repeat(np.arange(first, first + len(block)), len(data.time_s))
+                rows = {"series": numbered, "time_s": np.tile(data.time_s, len(block))} | rows
                 first += len(block)
-            rows.to_csv(file, index=False, header=file.tell() == 0)
+            append(rows)
             counted(len(block))
     return columns
+
+
+@contextmanager
+def _appending(file: IO[bytes], suffix: str) -> Iterator[Callable[[Mapping[str, FloatArray]], None]]:
+    """What appends rows, by their columns, to an open table of this kind."""
+    if suffix == ".csv":
+        import pandas as pd
+
+        yield lambda rows: pd.DataFrame(rows).to_csv(file, index=False, header=file.tell() == 0, lineterminator="\n")
+        return
+    with needing("Parquet", "sweep"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    writers: list[pq.ParquetWriter] = []
+
+    def append(rows: Mapping[str, FloatArray]) -> None:
+        table = pa.table(dict(rows))
+        if not writers:
+            writers.append(pq.ParquetWriter(file, table.schema))
+        writers[0].write_table(table)
+
+    yield append
+    for writer in writers:
+        writer.close()
 
 
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:

@@ -95,7 +95,7 @@ class VirtualSensor:
     seed : int
         Of all that is drawn.
     dtype, device
-        Of all tensors; float32 is faster and errs by up to 0.01 N.
+        Of all tensors that it gives, whatever it takes; float32 is faster and errs by up to 0.01 N.
     response : ArrayResponse, optional
         Of the design; default: solved, or from the cache.
 
@@ -113,7 +113,7 @@ class VirtualSensor:
     >>> design = replace(SensorDesign(), array=replace(SensorDesign().array, rows=1, cols=2))
     >>> sensor = VirtualSensor(design, response=layer_response(design), bits=12)
     >>> force_n = torch.tensor([[[0.0, 0.0, 300.0]]], dtype=torch.float64, requires_grad=True)
-    >>> reading = sensor.touch(torch.tensor([[[-7.5, 0.0]]], dtype=torch.float64), force_n)
+    >>> reading = sensor.touch(torch.tensor([[[-7.5, 0.0]]]), force_n)
     >>> reading.resistance_ohm[0, 0, 0, 0].backward()  # the z pillar below
     >>> bool(force_n.grad[0, 0, 2] < 0)  # falls in compression
     True
@@ -279,10 +279,10 @@ class VirtualSensor:
                 f"({self.environments}, k, 2 or 3) and ({self.environments}, k, 3)."
             )
         (rows, cols), pitch_mm = self.shape, self.design.array.pitch_mm
-        x, y = points_mm[..., 0], points_mm[..., 1]
+        x, y = points_mm.to(self._like)[..., :2].unbind(dim=-1)
         on_slab = (x.abs() <= cols * pitch_mm / 2) & (y.abs() <= rows * pitch_mm / 2)
         by_col, by_row = (shares(place, centres) for place, centres in zip((x, y), self._pads, strict=True))
-        return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n * on_slab[..., None])
+        return torch.einsum("ekr,ekc,eka->erca", by_row, by_col, force_n.to(self._like) * on_slab[..., None])
 
     def resistances(self, force_n: Tensor, seconds: float | None = None) -> Tensor:
         """Exact resistances (e, rows, cols, P) [Ω] under forces on the pads (e, rows, cols, 3) [N].
@@ -290,7 +290,7 @@ class VirtualSensor:
         A twin's are those of the environment's own sensor, gains and offsets included. With `seconds` since these were
         asked for last, rubber with memory remembers; without, resistances are those of rubber that does not.
         """
-        self._require(force_n, "force_n", len(AXES))
+        force_n = self._own(force_n, "force_n", len(AXES))
         columns = force_n.reshape(self.environments, -1)
         if self._twin is not None:
             ohms = self._readings(columns, self._member).reshape(self._gain.shape)
@@ -316,7 +316,7 @@ class VirtualSensor:
         Order as of `Imperfections.apply`: gain and offset, noise, converter, and last what is dead reads as open.
         A converter's counts have the derivatives of what they round; outside its range they stay at its end.
         """
-        self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
+        resistance_ohm = self._own(resistance_ohm, "resistance_ohm", self._pillars[-1])
         settings = self._imperfections
         ohms = (self._gain * resistance_ohm + self._offset).clamp(min=MIN_WHOLE_OHM)
         if settings.noise:
@@ -337,7 +337,7 @@ class VirtualSensor:
         """
         if self._decoder is None:
             raise ArgumentError("this sensor has no model to decode with: give VirtualSensor one.")
-        self._require(resistance_ohm, "resistance_ohm", self._pillars[-1])
+        resistance_ohm = self._own(resistance_ohm, "resistance_ohm", self._pillars[-1])
         readable = torch.as_tensor(self._decoder.readable, device=self.device)
         columns = torch.where(readable, resistance_ohm.flatten(1)[:, self._decoder.places], DEAD_OHM)
         decoded = self._like.new_empty((self.environments, len(self._decoder.output_scaling.centre)))
@@ -443,7 +443,8 @@ class VirtualSensor:
     def _normal(self, shape: tuple[int, ...]) -> Tensor:
         return self._like.new_empty(shape).normal_(generator=self._generator)
 
-    def _require(self, values: Tensor, name: str, last: int) -> None:
+    def _own(self, values: Tensor, name: str, last: int) -> Tensor:
         expected = (self.environments, *self.shape, last)
         if values.shape != expected:
             raise ArgumentError(f"{name} has shape {tuple(values.shape)}, expected {expected}.")
+        return values.to(self._like)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import netCDF4
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 from hypothesis import given, settings
@@ -20,6 +21,7 @@ from dataset.table import columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.design import Unit
+from geometry.design_file import read_design, write_design
 from geometry.layout import LAYOUTS
 from tests.house import House
 
@@ -228,6 +230,13 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     assert names.split(",") == columns_of(["force_n", "length_mm", "resistance_ohm"], 2, 3, data.layout)
     numbers = np.loadtxt(lines, delimiter=",", dtype=np.float32)
     assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
+    assert read_design(tmp_path / "own.toml") == data.design
+    told = House(tmp_path).result("export", "a.zarr", "-o", "own.parquet", "-q")
+    table = pq.read_table(tmp_path / "own.parquet")
+    assert table.column_names == names.split(",")
+    assert np.array_equal(np.stack([column.to_numpy() for column in table.columns], axis=1), numbers)
+    write_design(replace(data.design, resistivity_ohm_mm=1.0), tmp_path / "own.toml")
+    assert "own.toml is another design" in House(tmp_path).refusal("export", "a.zarr", "-o", "own.csv")
     rows = [line.split(",") for line in write(data, tmp_path / "own.csv").read_text().splitlines()]
     rows = [["my number", *reversed(rows[0])], *([str(number), *reversed(row)] for number, row in enumerate(rows[1:]))]
     rows = [[*row, ""] for row in rows]

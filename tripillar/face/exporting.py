@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from common.errors import ArgumentError, DesignError
 from common.storage.files import write_text
 from geometry.design import SensorDesign
-from geometry.design_file import write_design
+from geometry.design_file import read_design, write_design
 from geometry.wiring import wires
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -30,7 +30,7 @@ def export(
     to: Literal["header"] | None = None,
     design: DesignLike | None = None,
 ) -> Path:
-    """Write a model, a data set or a recording for other programs: ONNX or C, CSV or NetCDF.
+    """Write a model, a data set or a recording for other programs: ONNX or C, CSV, Parquet or NetCDF.
 
     Or a design for the firmware: its wires and channels.
 
@@ -39,8 +39,8 @@ def export(
     data : path, optional
         Data set (.nc or .zarr) or recording (.frames, or a board's bytes) to write.
     out : path
-        File to write: of a model .onnx, or .h for a header in C; of a data set .csv; of a recording .nc (NetCDF) or
-        .csv.
+        File to write: of a model .onnx, or .h for a header in C; of a data set .csv or .parquet, with its design (TOML)
+        beside; of a recording .nc (NetCDF) or .csv.
     model : Decoupler or path, optional
         Model file to write in their place.
     precision : str, optional
@@ -67,6 +67,7 @@ def export(
     if precision is not None and model is None:
         raise DesignError("precision= is for models: a table has the numbers of its data set.")
     result: dict[str, Any] = {"file": str(path)}
+    files = [path]
     if model is not None:
         to_write("out", path, ".onnx .h", (model,))
         decoupler = model_of(model)
@@ -87,15 +88,19 @@ def export(
         result |= {"frames": len(recorded.run), "statistics": asdict(recorded.statistics)}
         text = f"{len(recorded.run)} frames, {recorded.statistics.lost} lost"
     else:
-        to_write("out", path, ".csv", (source,))
-        samples = stages.read_samples(source)
+        to_write("out", path, " ".join(stages.TABLES), (source,))
+        samples, beside = stages.read_samples(source), path.with_suffix(".toml")
         if samples.design is not None:
-            caller.say(f"{path} states no design: give design=FILE to what learns from it")
+            if beside.exists() and read_design(beside) != samples.design:
+                raise DesignError(f"{beside} is another design than that of {source}: give another name.")
+            write_design(samples.design, beside)
+            files.append(beside)
+            caller.say(f"{path} states no design: give design={beside} to what learns from it")
         advance = caller.bars.begin("export", total=len(samples))
         columns = stages.write_table(samples, path, lambda n: advance(n, ""))
         result |= {"samples": len(samples), "columns": len(columns)}
         text = f"{len(samples)} samples, {len(columns)} columns"
-    caller.answer(lambda: result, text, path)
+    caller.answer(lambda: result, text, *files)
     return path
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
-    from dataset.table import holds_samples, write_table
+    from dataset.table import TABLES, holds_samples, write_table
     from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, acting_component, component_named
     from decoupler.data.enough import ENOUGH, drawn
