@@ -122,6 +122,15 @@ class AnySamples:
         told = {name: str(value) for name, value in self.attributes().items() if name != "design"}
         return held | told | ({"design": "not known"} if self.design is None else {})
 
+    def card(self) -> str:
+        """A page on the samples, Markdown, for those whom they are passed on to."""
+        lines = [f"| {name} | {' '.join(text.split())} |" for name, text in self.described().items()]
+        return "\n".join([
+            f"# {self._title()}", "", "| name | what it is |", "| --- | --- |", *lines, "",
+            "Forces act on the sensor; Fz is positive in compression. Made by TriPillar; attributes of the data hold",
+            "the design. Licence: to be filled in by whoever passes the data on.", "",
+        ])  # fmt: skip
+
     def _title(self) -> str:
         rows, cols = self.shape
         kind = "samples" if self.moments is None else f"series of {self.moments:,} moments"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 
 from common.errors import DesignError, require_type
+from common.storage.files import write_text
 from dataset.imperfections import Imperfections
 from geometry.design import SensorDesign, with_model
 from tripillar.face import stages
@@ -34,6 +35,7 @@ else:
 
 Kind = Literal[Protocol, "table", "indent"]
 RANGES = ("pressure_mpa", "shear_mpa")  #: of loads
+OF_TESTS = 10**6  #: added to the seed of samples for tests
 MAX_REDRAWN = 0.2  #: of all draws, beyond which what is left is said to be another distribution
 NEEDED = Flag(required=True)  # on the command line, where a default would be written to a file unasked
 SPECIMEN = Options(
@@ -66,6 +68,7 @@ def dataset(
     scheduler: str | None = None,
     only: str | None = None,
     dtype: Literal["float64", "float32"] = "float64",
+    test_share: float | None = None,
     **more: Annotated[Any, SPECIMEN, WIRES],
 ) -> "stages.Samples | stages.StoredSamples":
     """Simulate labelled samples: forces on the pads, and the resistances they give.
@@ -116,6 +119,9 @@ def dataset(
         Variables to keep, such as resistance,force; default: all.
     dtype : str
         Type of the numbers; float32 in .zarr alone.
+    test_share : float, optional
+        Share of the samples that go into a file beside, for tests, as data-test.nc: of the same sensor, under loads of
+        their own; those of a table are divided.
     **more
         Fields of `inputs.Wires`, with a crossbar, and of `dataset.Imperfections`: noise, bits, drift, drift_tilt,
         drift_pillar, drift_offset_ohm of readings; gain_spread, offset_ohm, specimen, dead_pillars, dead_rows,
@@ -190,25 +196,40 @@ def dataset(
         if factor < 1.0:
             caller.say(f"finite strain bears {factor:g} of the loads that small strain does")
     said, settings = _loads_said(settings, solved), settings.suited(solved)
-    made: stages.Samples | stages.StoredSamples
-    story: dict[str, Any] = {}
-    if is_solved:
-        advance = caller.bars.begin("dataset", total=stages.n_groups(samples))
-        made = stages.simulate_finite(solved, settings, readout, workers, scheduler, advance)
-        made = made if names is None else made.only(*names)
-    else:
-        advance = caller.bars.begin("dataset", total=samples)
-        leaves = stages.LeafJob(response=solved, settings=settings, readout=readout, twin=twin, only=names, dtype=dtype)
-        if path is not None and in_leaves:
-            story = stages.make_directory(leaves, path, workers, scheduler, lambda n: advance(n, ""))
-            made = stages.read_samples(path)
+
+    def simulated(settings: "stages.DatasetSettings", path: Path | None) -> "tuple[Any, dict[str, Any]]":
+        if is_solved:
+            advance = caller.bars.begin("dataset", total=stages.n_groups(settings.samples))
+            made = stages.simulate_finite(solved, settings, readout, workers, scheduler, advance)
+            made = made if names is None else made.only(*names)
         else:
+            advance = caller.bars.begin("dataset", total=settings.samples)
+            leaves = stages.LeafJob(
+                response=solved, settings=settings, readout=readout, twin=twin, only=names, dtype=dtype
+            )
+            if path is not None and in_leaves:
+                story = stages.make_directory(leaves, path, workers, scheduler, lambda n: advance(n, ""))
+                stored = stages.read_samples(path)
+                write_text(stored.card(), path.with_name(f"{path.stem}-README.md"))  # in it zarr takes none
+                return stored, story
             made = leaves.whole(lambda n: advance(n, ""))
-    if isinstance(made, stages.Samples):
-        story = made.made_from | {"kept": 0}
         if path is not None:
             made.write(path, dtype)
+        return made, made.made_from | {"kept": 0}
+
+    files = [path]
+    made: stages.Samples | stages.StoredSamples
+    if test_share is not None:
+        if path is None:
+            raise DesignError("test_share= writes a file beside out=: give out=, too.")
+        settings, of_test = _divided(settings, test_share)
+        beside = path.with_name(f"{path.stem}-test{path.suffix}")
+        simulated(of_test, beside)
+        files.append(beside)
+    made, story = simulated(settings, path)
+    samples = settings.samples
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
+    result |= {} if test_share is None else {"test_file": str(beside), "test_samples": of_test.samples}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
     result |= {name: list(value) for name in RANGES if (value := getattr(settings, name)) is not None}
     kind = "samples" if history is None else "series"
@@ -229,8 +250,31 @@ def dataset(
             "the loads by --pressure or --shear, or raise --cap"
         )
     result |= {"redrawn_share": share} if history is None else {}
-    caller.answer(lambda: result, f"{said}{line}", out)
+    line += "" if test_share is None else f"\n{of_test.samples} more for tests, under loads of their own"
+    caller.answer(lambda: result, f"{said}{line}", *files)
     return made
+
+
+def _divided(
+    settings: "stages.DatasetSettings", share: float
+) -> "tuple[stages.DatasetSettings, stages.DatasetSettings]":
+    """Settings of samples to learn from, and of those to test with: other loads of the same sensor."""
+    n_test = round(share * settings.samples)
+    if not 0 < n_test < settings.samples:
+        raise DesignError(
+            f"test_share={share:g} of {settings.samples} samples leaves none for tests, or none to learn from: give "
+            "one such as 0.1."
+        )
+    learned, tested = replace(settings, samples=settings.samples - n_test), replace(settings, samples=n_test)
+    if settings.table_mpa is not None:
+        order = np.random.default_rng(settings.seed).permutation(len(settings.table_mpa)).tolist()
+        n_rows = round(share * len(order))
+        if not 0 < n_rows < len(order):
+            raise DesignError(f"test_share={share:g} divides no table of {len(order)} loads: give more loads.")
+        rows = [settings.table_mpa[row] for row in order]
+        learned = replace(learned, table_mpa=tuple(rows[n_rows:]))
+        tested = replace(tested, table_mpa=tuple(rows[:n_rows]))
+    return learned, replace(tested, seed=settings.seed + OF_TESTS)
 
 
 def _loads_said(settings: "stages.DatasetSettings", response: "stages.ArrayResponse") -> str:

@@ -13,6 +13,7 @@ from dataset.leaves import LEAF
 from dataset.simulation import LoadError
 from geometry import Array, SensorDesign
 from tests.dataset.conftest import made_up_response
+from tests.house import House
 from tripillar.datasets.leaves import LeafJob, make_directory, unfinished
 
 RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
@@ -98,3 +99,32 @@ def test_nothing_is_left_of_what_cannot_begin(tmp_path):
     with pytest.raises(LoadError, match=r"beyond cap=0\.01"):
         make_directory(small, tmp_path / "data.zarr", count=1)
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+def test_samples_for_tests_are_of_the_same_sensor_under_other_loads(tmp_path, suffix):
+    house = House(tmp_path)
+    told = house.result(
+        "dataset", "--design", "small.toml", "--protocol", "contact", "--samples", "50", "--test-share", "0.2",
+        "--gain-spread", "0.1", "-o", f"data{suffix}",
+    )  # fmt: skip
+    assert (told["samples"], told["test_samples"], told["test_file"]) == (40, 10, f"data-test{suffix}")
+    learned, tested = (read_samples(house.folder / f"data{part}{suffix}")[:] for part in ("", "-test"))
+    assert (len(learned), len(tested)) == (40, 10)
+    assert not np.isin(tested.force_n[tested.force_n != 0], learned.force_n).any()
+    assert learned.made_from["specimen"] == tested.made_from["specimen"]
+    if suffix == ".zarr":
+        card = (house.folder / "data-README.md").read_text()
+        assert card.startswith("# 40 samples of 1 × 2 units, contact\n")
+
+
+def test_a_table_of_loads_is_divided_between_samples_to_learn_from_and_for_tests(tmp_path):
+    house = House(tmp_path)
+    pads = "\n".join(f"{k},pad,0,{k % 2},{10 * (k + 1)}" for k in range(10))
+    (house.folder / "loads.csv").write_text(f"load,kind,row,col,fz_n\n{pads}\n")
+    words = ("dataset", "--design", "small.toml", "--protocol", "table", "--loads", "loads.csv", "--samples", "60")
+    house.result(*words, "--test-share", "0.3", "-o", "data.nc")
+    learned, tested = ({*read_samples(house.folder / name)[:].force_n.max(axis=(1, 2, 3)).round(6).tolist()}
+                       for name in ("data.nc", "data-test.nc"))  # fmt: skip
+    assert (len(learned | tested), learned & tested) == (10, set())
+    assert "divides no table of 10 loads" in house.refusal(*words, "--test-share", "0.04", "-o", "other.nc", "-q")
