@@ -147,7 +147,7 @@ def follows(model: "Decoder", rubber: Path | str | None = None) -> "SensorFilter
 def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:
     """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
     end_s = time.monotonic() + seconds
-    with ended_by_signal() if ends_by_signal else nullcontext(lambda: False) as is_ended:
+    with ended_by_signal() if ends_by_signal else nullcontext(lambda: 0) as is_ended:
         while not is_ended() and (left_s := end_s - time.monotonic()) > 0.0:
             scan = scanner.get(timeout=min(BATCH_S, left_s))
             if scan is None and scanner.ended:
@@ -156,8 +156,8 @@ def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bo
 
 
 @contextmanager
-def ended_by_signal() -> Iterator[Callable[[], bool]]:
-    """Note Ctrl-C or a termination instead of ending at once; a second one interrupts. Yields: has one come?"""
+def ended_by_signal() -> Iterator[Callable[[], int]]:
+    """Note Ctrl-C or a termination instead of ending at once; a second one interrupts. Yields: its number, 0 before."""
     came: list[int] = []
 
     def note(number: int, _: object) -> None:
@@ -168,7 +168,7 @@ def ended_by_signal() -> Iterator[Callable[[], bool]]:
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(came)
+        yield lambda: came[0] if came else 0
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -87,13 +87,15 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
     default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and `col`
     are one each, else a range such as 0-2, or empty for all. Forces are in newtons or with a unit, such as 500 g; of
     air, `kpa`. `error`, `tilt` and `share` are standard deviations, as 2 % of the load or in its unit. Readings stand
-    in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative. A file or column that is
+    in columns r_ROW_COL_PILLAR [Ω], r_ROW_COL of one pillar a unit, in one line of each load; `noise` is theirs, relative. A file or column that is
     missing, or a line that makes no sense, is a `FileFormatError` that names it.
     """
     path = Path(path)
     rows, cols = design.array.rows, design.array.cols
     readings = reading_columns(rows, cols, design.unit.layout)
-    form = form_of(path, {*COLUMNS, *readings}.__contains__)
+    short = {name.rpartition("_")[0]: name for name in readings} if len(design.unit.layout.pillars) == 1 else {}
+    form = form_of(path, {*COLUMNS, *readings, *short}.__contains__)
+    form = form._replace(header=[short.get(name, name) for name in form.header])
     lines = read_table(path, form, MAX_LOADS, "give fewer loads, or samples, of which some are drawn")
     header = [name for name in form.header if name]
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
