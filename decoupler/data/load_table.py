@@ -162,7 +162,7 @@ def reading_columns(rows: int, cols: int, layout: Layout) -> list[str]:
 def _other_array(header: list[str], rows: int, cols: int, layout: Layout) -> str | None:
     """Size of the array of a table's readings, or a pillar among them, as text, if the design has no such."""
     places = [place for name in header if (place := re.fullmatch(r"r_(\d+)_(\d+)_(\w+)", name))]
-    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places]
+    units = [(int(place[1][:9]) + 1, int(place[2][:9]) + 1) for place in places]
     if any(row > rows or col > cols for row, col in units):
         return " × ".join(str(max(counts)) for counts in zip(*units, strict=True)) + " units"
     return next((f"a pillar {place[3]}" for place in places if place[3] not in layout.pillar_names), None)
@@ -286,9 +286,9 @@ class _Line:
         within = []
         for name, count in (("row", rows), ("col", cols)):
             text = self.text(name)
-            found = re.fullmatch(r"(-?\d+)" if one else r"(?:(\d+)(?:\s*-\s*(\d+))?)?", text)
+            found = re.fullmatch(r"(-?\d{1,9})" if one else r"(?:(\d{1,9})(?:\s*-\s*(\d{1,9}))?)?", text)
             if found is None:
-                raise FileFormatError(f"{self.source}: {name} is {text!r}, must be a whole number.")
+                raise FileFormatError(f"{self.source}: {name} is {text[:20]!r}, must be a whole number.")
             ends = [int(end) for end in found.groups() if end] or [0, count - 1]
             if not 0 <= ends[0] <= ends[-1] < count:
                 raise FileFormatError(

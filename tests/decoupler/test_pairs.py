@@ -139,6 +139,8 @@ def test_pairs_that_are_kept_come_back(tmp_path):
         (["1"], "spam", "needs a header"),
         (["x,0,0,2.5,9,9"], "load,row,col,fz_n,r_0_0_z,r_2_0_z", "readings of 3 × 1 units, the design has 2 × 3"),
         (["x,0,0,2.5,9"], "load,row,col,fz_n,r_0_0_z2", "readings of a pillar z2, the design has 2 × 3 with pillars z"),
+        (["x,0,0,2.5,9"], f"load,row,col,fz_n,r_{'9' * 5000}_0_z", "of 1000000000 × 1 units"),
+        ([f"x,{'9' * 5000},0,2.5"], "load,row,col,fz_n", "line 2: row is '99999999999999999999', must be a whole"),
         (["x,0,0,2.5"], "load,row,col,fz_n", "load 'x' has no readings: give columns r_0_0_z"),
     ],
 )

@@ -263,7 +263,7 @@ def test_a_tare_of_a_sensor_that_moves_is_refused_unless_forced(house, port):
 
 @pytest.mark.skipif(find_tools() is not None, reason=str(find_tools()))
 def test_the_firmware_is_simulated_where_it_can_be(house):
-    """Else frames are Python's; a chip that is asked for says why it cannot; a signal ends a board, and is its exit code."""
+    """Else frames are Python's; a chip that is asked for says why it cannot; a signal ends a board, with its code."""
     command = house.command("board", "--design", "small.toml", "-q", "--json")
     with subprocess.Popen(
         command, cwd=house.folder, env=house.environment, stdout=subprocess.PIPE, text=True
