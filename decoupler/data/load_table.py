@@ -87,8 +87,8 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
     default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and `col`
     are one each, else a range such as 0-2, or empty for all. Forces are in newtons or with a unit, such as 500 g; of
     air, `kpa`. `error`, `tilt` and `share` are standard deviations, as 2 % of the load or in its unit. Readings stand
-    in columns r_ROW_COL_PILLAR [Ω], r_ROW_COL of one pillar a unit, in one line of each load; `noise` is theirs, relative. A file or column that is
-    missing, or a line that makes no sense, is a `FileFormatError` that names it.
+    in columns r_ROW_COL_PILLAR [Ω], r_ROW_COL of one pillar a unit, in one line of each load; `noise` is theirs,
+    relative. A file or column that is missing, or a line that makes no sense, is a `FileFormatError` that names it.
     """
     path = Path(path)
     rows, cols = design.array.rows, design.array.cols
