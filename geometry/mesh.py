@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
 METHOD = 4  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
+PILLARS_TOLERANCE = 2e-3  #: of their volume, relative; beyond, a mesh is refused: wedges between them are not put back
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
 
 
@@ -166,7 +167,7 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
         outlined=len(under_plates),
         surfaces=[*surfaces.values(), *(prism_surface(prism) for prism in under_plates)],
         volumes_mm3={"the pillars": (1, solids["array"].volume)} if pillars else {},
-        volume_tolerance=2e-3,
+        volume_tolerance=PILLARS_TOLERANCE,
         background=background,
         edge_mm=settings.edge_top_mm + (settings.edge_base_mm - settings.edge_top_mm) * depth**GRADING,
         envelope_mm=settings.envelope_mm,

@@ -144,20 +144,26 @@ def follows(model: "Decoder", rubber: Path | str | None = None) -> "SensorFilter
     return None if memory == Memory() else SensorFilter(memory=memory, is_tested=True)
 
 
-def scans_within(scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True) -> Iterator[Scan | None]:
-    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`."""
-    end_s = time.monotonic() + seconds
-    with ended_by_signal() if ends_by_signal else nullcontext(lambda: False) as is_ended:
-        while not is_ended() and (left_s := end_s - time.monotonic()) > 0.0:
-            scan = scanner.get(timeout=min(BATCH_S, left_s))
+def scans_within(
+    scanner: Scanner, seconds: float = math.inf, ends_by_signal: bool = True, least: int = 0
+) -> Iterator[Scan | None]:
+    """Scans as they come, for some seconds, until a recording ends or Ctrl-C; None where none came for `BATCH_S`.
+
+    While fewer than `least` have come, of a slow board or to a busy computer, it goes on until the scanner has trouble.
+    """
+    end_s, n = time.monotonic() + seconds, 0
+    with ended_by_signal() if ends_by_signal else nullcontext(lambda: 0) as is_ended:
+        while not is_ended() and (time.monotonic() < end_s or (n < least and not scanner.trouble)):
+            scan = scanner.get(timeout=min(BATCH_S, max(end_s - time.monotonic(), LOOK_S)))
+            n += scan is not None
             if scan is None and scanner.ended:
                 return
             yield scan
 
 
 @contextmanager
-def ended_by_signal() -> Iterator[Callable[[], bool]]:
-    """Note Ctrl-C or a termination instead of ending at once; a second one interrupts. Yields: has one come?"""
+def ended_by_signal() -> Iterator[Callable[[], int]]:
+    """Note Ctrl-C or a termination instead of ending at once; a second one interrupts. Yields: its number, 0 before."""
     came: list[int] = []
 
     def note(number: int, _: object) -> None:
@@ -168,7 +174,7 @@ def ended_by_signal() -> Iterator[Callable[[], bool]]:
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(came)
+        yield lambda: came[0] if came else 0
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -184,7 +190,7 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     """
     while scanner.get(timeout=0.0):  # what was scanned before now
         pass
-    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False) if scan]
+    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=1) if scan]
     if not taken or scanner.trouble:
         came = f"{len(taken)} scans" if taken else "no scan"
         raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
@@ -217,7 +223,7 @@ def record_scans(
     last = None
     text = "" if calibration is None else calibration.to_json()
     with Recorder(path, scanner.info, text, made_from, append) as recorder:
-        for scan in scans_within(scanner, seconds):
+        for scan in scans_within(scanner, seconds, least=1):
             if scan is not None:
                 if last is not None and scan.run > last.run:
                     recorder.begin_run("restart" if scan.restarts > last.restarts else "reconnect")
@@ -248,7 +254,7 @@ def measure_link(scanner: Scanner, sensor: LiveSensor | None, seconds: float) ->
         If fewer than three scans come.
     """
     arrivals, device_us, latencies = [], [], []
-    for scan in scans_within(scanner, seconds):
+    for scan in scans_within(scanner, seconds, least=3):
         if scan is None:
             continue
         if sensor is not None:

@@ -87,13 +87,15 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
     default), plate (the sum alone is known), air (the same pressure on every pad) or nothing. Of a pad `row` and `col`
     are one each, else a range such as 0-2, or empty for all. Forces are in newtons or with a unit, such as 500 g; of
     air, `kpa`. `error`, `tilt` and `share` are standard deviations, as 2 % of the load or in its unit. Readings stand
-    in columns r_ROW_COL_PILLAR [Ω] in one line of each load; `noise` is theirs, relative. A file or column that is
-    missing, or a line that makes no sense, is a `FileFormatError` that names it.
+    in columns r_ROW_COL_PILLAR [Ω], r_ROW_COL of one pillar a unit, in one line of each load; `noise` is theirs,
+    relative. A file or column that is missing, or a line that makes no sense, is a `FileFormatError` that names it.
     """
     path = Path(path)
     rows, cols = design.array.rows, design.array.cols
     readings = reading_columns(rows, cols, design.unit.layout)
-    form = form_of(path, {*COLUMNS, *readings}.__contains__)
+    short = {name.rpartition("_")[0]: name for name in readings} if len(design.unit.layout.pillars) == 1 else {}
+    form = form_of(path, {*COLUMNS, *readings, *short}.__contains__)
+    form = form._replace(header=[short.get(name, name) for name in form.header])
     lines = read_table(path, form, MAX_LOADS, "give fewer loads, or samples, of which some are drawn")
     header = [name for name in form.header if name]
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
@@ -160,7 +162,7 @@ def reading_columns(rows: int, cols: int, layout: Layout) -> list[str]:
 def _other_array(header: list[str], rows: int, cols: int, layout: Layout) -> str | None:
     """Size of the array of a table's readings, or a pillar among them, as text, if the design has no such."""
     places = [place for name in header if (place := re.fullmatch(r"r_(\d+)_(\d+)_(\w+)", name))]
-    units = [(int(place[1]) + 1, int(place[2]) + 1) for place in places]
+    units = [(int(place[1][:9]) + 1, int(place[2][:9]) + 1) for place in places]
     if any(row > rows or col > cols for row, col in units):
         return " × ".join(str(max(counts)) for counts in zip(*units, strict=True)) + " units"
     return next((f"a pillar {place[3]}" for place in places if place[3] not in layout.pillar_names), None)
@@ -284,9 +286,9 @@ class _Line:
         within = []
         for name, count in (("row", rows), ("col", cols)):
             text = self.text(name)
-            found = re.fullmatch(r"(-?\d+)" if one else r"(?:(\d+)(?:\s*-\s*(\d+))?)?", text)
+            found = re.fullmatch(r"(-?\d{1,9})" if one else r"(?:(\d{1,9})(?:\s*-\s*(\d{1,9}))?)?", text)
             if found is None:
-                raise FileFormatError(f"{self.source}: {name} is {text!r}, must be a whole number.")
+                raise FileFormatError(f"{self.source}: {name} is {text[:20]!r}, must be a whole number.")
             ends = [int(end) for end in found.groups() if end] or [0, count - 1]
             if not 0 <= ends[0] <= ends[-1] < count:
                 raise FileFormatError(

@@ -14,8 +14,8 @@ from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import disturbance, doubt, nothing_to_learn, suspicion
 from decoupler.inverse.sensor_model import SensorModel
 from fem.array.closed_forms import layer_response
-from geometry.design import Unit
-from geometry.layout import Electrode, Layout, Pillar
+from geometry.design import Array, SensorDesign, Unit
+from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from geometry.tolerances import with_values
 from tests.decoupler.synthetic_sensor import ALL, labelled, response, sensor
 
@@ -61,6 +61,17 @@ def test_tables_of_spreadsheets_are_read_as_they_are(tmp_path):
     path.write_text("\n".join([*plain, "c,0,0,1,,7"]))
     with pytest.raises(FileFormatError, match="line 5: has more values than the header"):
         read_loads(path, DESIGN)
+
+
+def test_readings_of_one_pillar_a_unit_need_not_name_it(tmp_path):
+    """As in a CSV table of samples; with more pillars r_0_0 is no column."""
+    lines = ["a,0,1,2.5,100,200", "rest,0,0,0,101,201"]
+    mat = SensorDesign(array=Array(rows=1, cols=2), unit=Unit(layout=LAYOUTS["single"]))
+    for names in ("r_0_0,r_0_1", "r_0_0_z,r_0_1_z"):
+        path = table(tmp_path, *lines, header=f"load,row,col,fz_n,{names}")
+        assert read_pairs(path, mat).resistance_ohm[..., 0].tolist() == [[[100, 200]], [[101, 201]]]
+    with pytest.raises(FileFormatError, match="not 'r_0_0'"):
+        read_loads(table(tmp_path, *lines, header="load,row,col,fz_n,r_0_0,r_0_1"), replace(mat, unit=Unit()))
 
 
 def test_a_pads_force_is_known_as_well_as_stated(tmp_path):
@@ -128,6 +139,8 @@ def test_pairs_that_are_kept_come_back(tmp_path):
         (["1"], "spam", "needs a header"),
         (["x,0,0,2.5,9,9"], "load,row,col,fz_n,r_0_0_z,r_2_0_z", "readings of 3 × 1 units, the design has 2 × 3"),
         (["x,0,0,2.5,9"], "load,row,col,fz_n,r_0_0_z2", "readings of a pillar z2, the design has 2 × 3 with pillars z"),
+        (["x,0,0,2.5,9"], f"load,row,col,fz_n,r_{'9' * 5000}_0_z", "of 1000000000 × 1 units"),
+        ([f"x,{'9' * 5000},0,2.5"], "load,row,col,fz_n", "line 2: row is '99999999999999999999', must be a whole"),
         (["x,0,0,2.5"], "load,row,col,fz_n", "load 'x' has no readings: give columns r_0_0_z"),
     ],
 )

@@ -22,7 +22,8 @@ TYPED = indented_commands(README, "tripillar", "kill")
 
 #: tested elsewhere: by tests/tripillar/test_doctor.py, and by the tutorial
 ELSEWHERE = ("tripillar doctor", "tripillar cad --design sensor.toml --out cad")
-#: typed otherwise, for time: two units instead of 36, 500 samples instead of 5000, a board watched for one second
+#: typed otherwise, for time: two units instead of 36, 500 samples instead of 5000, a board watched for a second,
+#: or until it has sent enough
 OTHERWISE = {
     "tripillar design": "tripillar design --rows 1 --cols 2",
     "--samples 5000": "--samples 500",

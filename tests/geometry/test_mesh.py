@@ -13,6 +13,7 @@ from geometry import Array, GeometryError, Material, Pad, SensorDesign, Unit
 from geometry.cad import unit_solid
 from geometry.layout import LAYOUTS
 from geometry.mesh import (
+    PILLARS_TOLERANCE,
     REGIONS,
     MeshSettings,
     MeshTask,
@@ -52,7 +53,8 @@ def test_regions_have_the_volumes_of_their_closed_forms_and_the_outside_lies_on_
 
     pillars = union_mm3(design.unit)
     slab, volumes = np.prod(design.slab_mm), mesh.region_volumes()
-    assert volumes == pytest.approx([slab - pillars, pillars], rel=1e-4)  # wedges between pillars are not put back
+    # what each mesh is held to, here against the closed form; chance decides how much of a wedge between pillars goes
+    assert volumes[1] == pytest.approx(pillars, rel=PILLARS_TOLERANCE)
     assert volumes.sum() == pytest.approx(slab, rel=1e-9)  # outer planes are exact: rounding of 2000 cells
     assert cell_volumes(mesh.points_mm, mesh.cells).min() > 0
     inside = prisms_at(mesh.points_mm[mesh.cells].mean(axis=1), pillar_prisms(design)) > 0

@@ -115,7 +115,7 @@ def command_of(job: Job) -> Callable[..., int]:
     flags = {given.name: next(iter(typed_as(given)[1].name), given.name) for given in parameters_of(job)}
 
     def command(*arguments: Any, json: bool = False, verbosity: bool | None = None, **options: Any) -> int:
-        bars = Bars(quiet=verbosity is False, verbose=verbosity is True)
+        signalled, bars = 0, Bars(quiet=verbosity is False, verbose=verbosity is True)
         typed = Typed(say=lambda note: say(spelled(note, flags)), bars=bars, as_json=json, is_typed=True)
         with refusals(flags), called_by(typed):
             if inspect.isgeneratorfunction(inspect.unwrap(job)):
@@ -123,15 +123,17 @@ def command_of(job: Job) -> Callable[..., int]:
                 require_numbers({"seconds": seconds})
                 from hardware.session import ended_by_signal
 
-                with job(*arguments, **options), ended_by_signal() as is_ended:  # before anybody knows that it runs
+                with job(*arguments, **options), ended_by_signal() as ending:  # before anybody knows that it runs
                     with bars:  # they end: what is waited for now has none
                         typed.show(indent=None)
-                    wait(seconds, is_ended)
+                    wait(seconds, ending)
+                    signalled = ending()
             else:
                 with bars:
                     job(*arguments, **options)
                 typed.show()
-        return typed.end()
+        code = typed.end()
+        return 128 + signalled if signalled else code
 
     return command
 
@@ -174,7 +176,7 @@ def refusals(flags: Mapping[str, str]) -> Iterator[None]:
         raise DesignError(spelled(str(error), flags)) from error
 
 
-def wait(seconds: float, is_ended: Callable[[], bool]) -> None:
+def wait(seconds: float, is_ended: Callable[[], int]) -> None:
     """Wait for the end of the time, Ctrl-C or a termination."""
     end_s = time.monotonic() + seconds
     while not is_ended() and time.monotonic() < end_s:

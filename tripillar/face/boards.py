@@ -15,6 +15,7 @@ from tripillar.face.exporting import damage
 from tripillar.face.inputs import BOARD, LINES, WIRES, File, Flag, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import STREAMS, AskedStreams
 
+LARGE = 2**24  #: bytes of a recording that take a second or a few to read
 SHORT = 10_000  #: frames of a recording whose forces take a second or a few
 
 
@@ -276,7 +277,10 @@ def replay(
             raise DesignError(f"speed={speed:g} must be 0.001 or more; 1 is as recorded, inf as fast as can be.")
         if out is not None or not crosstalk:
             raise DesignError("speed= only shows forces: leave out= and crosstalk=False out, or leave speed= itself.")
-    decoupler, recorded = model_of(model), stages.read_recording(source, stages.matrix_info(**LINES.of(log)))
+    decoupler, is_large = model_of(model), source.is_file() and source.stat().st_size > LARGE
+    reading = caller.bars.begin("recording", total=1) if is_large else lambda share, _: None
+    recorded = stages.read_recording(source, stages.matrix_info(**LINES.of(log)))
+    reading(1, "")
     if speed is not None:
         with stages.live(str(source), decoupler, calibration, speed, rubber, **log) as sensor:
             (stages.print_lines if caller.as_json else stages.show_forces)(sensor, math.inf)

@@ -114,7 +114,7 @@ def board(
         response = design
     if pressure_mpa is None and (loads := stages.loads_of(response)) != stages.PAPERS:
         script = replace(script, peak_mpa=loads.middle_mpa)
-        caller.say(f"the design does not bear the paper's 3 MPa; the indenter presses with {loads.middle_mpa:.3g} MPa")
+        caller.say(f"the design does not bear the paper's loads; the indenter presses with {loads.middle_mpa:.3g} MPa")
     seen = replace(response, design=stages.seen_by(electronics.crossbar(told), response.design))
     motion, shunts = stages.press_and_slide(seen, script, own), stages.shunts_of(seen.design)
     rows, cols = motion.resistance_ohm.shape[1:3]

@@ -199,8 +199,8 @@ def _shown(
     caller, is_linear = current(), stages.is_linear(body)
     # what is superposed is soon there; a search at finite strain has something to show where it is ended
     takes_signals = caller.is_typed and not is_linear
-    with stages.ended_by_signal() if takes_signals else nullcontext(lambda: False) as is_ended:
-        watch = stages.Watch(progress=lambda step: advance(0, step), say=bars.say, is_stopped=is_ended)
+    with stages.ended_by_signal() if takes_signals else nullcontext(lambda: 0) as is_ended:
+        watch = stages.Watch(progress=lambda step: advance(0, step), say=bars.say, is_stopped=lambda: bool(is_ended()))
         try:
             panels = stages.panels_of(body, pressures_mpa, load, stress, watch)
         except stages.Stopped:
@@ -303,7 +303,7 @@ def _suited(design: SensorDesign, asked: Sequence[float | str]) -> tuple[float, 
     most, area_mm2 = loads.normal_mpa[1], design.pad.size_mm**2
     if loads != stages.PAPERS:
         current().say(
-            f"the design does not bear the paper's {stages.PAPERS.middle_mpa:g} MPa; "
+            "the design does not bear the paper's loads; "
             f"{'shares are' if asked else 'shown in the middle'} of its own range, which ends at {most:.3g} MPa "
             f"({most * area_mm2:.3g} N a pad)"
         )

@@ -1,4 +1,4 @@
-"""The end of every program here: exit code 0, 2 with one line for a user's mistake, 130 for Ctrl-C."""
+"""The end of every program here: its exit code, 0, 2 with one line for a user's mistake, 130 or 143 for a signal."""
 
 import io
 import os
