@@ -7,12 +7,13 @@ import re
 import subprocess
 import sys
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 from tests.house import SMALL
-from tripillar.cli.app import COMMANDS
+from tripillar.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 FLOORS = [
@@ -57,8 +58,12 @@ def nodes(path: Path) -> list[ast.AST]:
 @cache
 def imports(path: Path) -> set[str]:
     """Modules that a file imports, wherever in it, by their dotted names."""
+    return imports_of(nodes(path))
+
+
+def imports_of(found: list[ast.AST]) -> set[str]:
     names = set()
-    for node in nodes(path):
+    for node in found:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -93,6 +98,20 @@ def test_imports_run_one_way():
         for k, room in enumerate(rooms):
             wrong += upward(f"{floor}/{room}", tuple(f"{floor}.{other}" for other in rooms[k + 1 :]))
     assert not wrong
+
+
+@cache
+def loaded(path: Path) -> set[str]:
+    """Modules that a file imports when it runs."""
+    checkers = [node for node in nodes(path) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    hidden = {each for block in checkers for part in block.body for each in ast.walk(part)}
+    return imports_of([node for node in nodes(path) if node not in hidden])
+
+
+def test_imports_run_in_no_circle():
+    """Not within functions, either, where a circle would hide: the error names it."""
+    files = {name_of(path): path for path in sources(*FLOORS)}
+    TopologicalSorter({name: (loaded(path) & files.keys()) - {name} for name, path in files.items()}).prepare()
 
 
 def test_pictures_are_leaves():

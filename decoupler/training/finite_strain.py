@@ -20,6 +20,7 @@ from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.solve import ridge, ridge_left_out
+from decoupler.training.fitting import fitted_network
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -262,8 +263,6 @@ def refined(
     progress: Progress = lambda *_: None,
 ) -> DecouplerAtStrain:
     """A network that is trained on draws, and the posterior that takes its answers as start and prior. Loads torch."""
-    from decoupler.training.trainer import fitted_network
-
     form = NetworkConfig(hidden=HIDDEN, feature="root")
     net = fitted_network(drawn, form, training or TrainingConfig(), design, progress=progress)
     off_n = net.outputs(drawn.resistance_ohm[:JUDGED]) - drawn.force_n[:JUDGED]

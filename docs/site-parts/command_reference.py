@@ -4,7 +4,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from tripillar.cli.app import COMMANDS
+from tripillar.cli.commands import COMMANDS
 from tripillar.cli.help import labels, meaning, options_of
 from tripillar.cli.parser import app_of
 

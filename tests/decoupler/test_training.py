@@ -12,7 +12,7 @@ from decoupler.evaluation.metrics import component_errors, evaluate, pca_floor
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.network import Task
 from decoupler.solve import RIDGES, best_ridge
-from decoupler.training import trainer
+from decoupler.training import fitting
 from decoupler.training.levenberg_marquardt import GaussNewton, point_at
 from decoupler.training.momentum import momentum_step
 from decoupler.training.varpro import Projected, projected, train_varpro
@@ -253,14 +253,14 @@ def test_another_sensors_response_is_put_right_at_rest(monkeypatch):
     forward = SensorModel.of(other, FX).calibrated(columns)
     assert np.abs(forward.at_rest_ohm() / rest_ohm - 1.0).max() >= 1e-2
     known = forward, Scaling.fitted(columns.force_n), columns
-    light = trainer._with_light_samples(*known)[len(columns) :]
+    light = fitting._with_light_samples(*known)[len(columns) :]
     assert np.abs(light.resistance_ohm[~light.force_n.any(axis=1)] / rest_ohm - 1.0).max() < 1e-3
     model = trained(hidden=4, feature="inverse", known=other)
     assert model.made_from["n_samples"] == len(TRAIN)
     missed_n = [one.forces(TEST.resistance_ohm) - TEST.force_n[..., :1] for one in (model, model.least_squares)]
     assert np.std(missed_n[0]) < 0.1 * np.std(missed_n[1])
-    monkeypatch.setattr(trainer, "MAX_UNEXPLAINED", 1e-9)
-    assert trainer._with_light_samples(*known) is columns  # a response that leaves more is not asked about rest
+    monkeypatch.setattr(fitting, "MAX_UNEXPLAINED", 1e-9)
+    assert fitting._with_light_samples(*known) is columns  # a response that leaves more is not asked about rest
 
 
 def test_the_samples_that_judge_are_drawn_from_all_and_readings_of_one_load_stay_together(monkeypatch):

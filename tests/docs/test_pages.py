@@ -10,7 +10,7 @@ from geometry.design import SensorDesign
 from geometry.design_file import design_from_toml, design_to_toml, whole_design
 from geometry.layout import require_told
 from tests.docs.terminal import ROOT, console_commands
-from tripillar.cli.app import COMMANDS
+from tripillar.cli.commands import COMMANDS
 from tripillar.cli.help import options_of
 from tripillar.cli.parser import app_of
 

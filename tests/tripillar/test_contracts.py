@@ -15,7 +15,7 @@ from tests.docs.terminal import ROOT
 from tests.fem.scenes import BLOCK
 from tests.house import SMALL, House
 from tests.tripillar.made_files import a_dataset, a_model
-from tripillar.cli.app import COMMANDS, GONE, job_of
+from tripillar.cli.commands import COMMANDS, GONE, job_of
 from tripillar.cli.door import flag_of, spelled
 from tripillar.cli.help import meaning, options_of
 from tripillar.cli.parser import app_of, parsed

@@ -16,7 +16,7 @@ from cyclopts import App, Group, Parameter, Token
 from docstring_parser import parse
 
 from common.errors import DesignError
-from tripillar.cli.app import COMMANDS, job_of
+from tripillar.cli.commands import COMMANDS, job_of
 from tripillar.cli.door import Job, command_of, parameters_of, typed_as
 from tripillar.cli.help import Columns
 from tripillar.face.inputs import options_of

@@ -14,7 +14,7 @@ from tripillar.cli.door import Job, parameters_of, typed_as
 def typed_plainly(job: Job, words: Sequence[str]) -> tuple[list[Any], dict[str, Any]] | None:
     """Arguments and options of a job as the parser gives them; None where it is to be asked.
 
-    >>> from tripillar.cli.app import job_of
+    >>> from tripillar.cli.commands import job_of
     >>> typed_plainly(job_of("solve"), ["block.toml", "--tolerance", "1e-2", "--json"])
     ([PosixPath('block.toml')], {'tolerance': 0.01, 'json': True})
     >>> typed_plainly(job_of("solve"), ["block.toml", "--tolerance=1e-2"]) is None
