@@ -148,7 +148,7 @@ def _correlated(J: FloatArray, error: FloatArray) -> FloatArray:
     """Jᵀ C J (p, p) of slopes (n, p) and errors' correlations C, none of its directions below 0."""
     from scipy.linalg import matmul_toeplitz
 
-    rho, size = correlations(error), np.sqrt((J**2).sum(axis=0)) + 1e-300
+    rho, size = correlations(error), np.sqrt((J**2).sum(axis=0)) + 1e-150
     found = J.T @ matmul_toeplitz(np.r_[rho, np.zeros(len(J) - len(rho))], J) / np.outer(size, size)
     values, directions = np.linalg.eigh((found + found.T) / 2)
     return (directions * np.maximum(values, 0.0)) @ directions.T * np.outer(size, size)

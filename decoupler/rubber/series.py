@@ -45,14 +45,14 @@ RESTARTS = 0.05  #: of the rows: a table whose clock steps back more often is in
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
 GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
 MANY_GLITCHES = 0.3  #: of the rows: what jumps so often is no position of the specimen
-FELT, PARTS = 0.5, 8  #: correlation of bends of strain and force, which motion has; parts of steps of few rows for it
 FOLLOWED = 0.4  #: of what a strain does to the force: less, and the specimen did not move
 RUN, SWING = 16, 0.01  #: readings in a row that go up and down by so much: a meter that alternates
 MANY = 0.05  #: share of rows that do before all are averaged in pairs
-JITTER, MAX_DETOUR = 5.0, 1.03  #: deviations of noise that strain may turn within; way with it over that without
-COARSE = 1.1  #: the same where this is motion: of rows too few for it
+JITTER, MAX_DETOUR = 5.0, 1.005  #: deviations of noise that strain may turn within; way with it over that without
+COARSE, PARTS = 1.1, 8  #: the same where this may be motion, of rows too few for it; then parts of each step
+CLEARLY = 0.95  #: of what is missed without: a law that is right misses half or less, one that is not by chance as much
 QUIET = 100  #: rows of a part that may be at rest
-USUAL = [Memory(b_lengthen=b, b_shorten=5.7 * b, tau_s=(s, 120.0)) for b in (0.8, 1.5, 2.5) for s in (5.0, 12.0)]
+USUAL, RATES = (1.5, 5.7, 9.0, 120.0), ([0.1, 1.0, 1.0, 30.0], [10.0, 30.0, 40.0, 500.0])  #: b, ratio of both, both τ
 MIN_KEPT, MAX_RUNS = 0.5, 12  #: of rows with runs apart that are used, and runs at most: the longest
 
 
@@ -338,24 +338,25 @@ def _without_jitter(series: Series) -> Series:
     detour = float(way / np.abs(np.diff(strain)).sum())
     if detour < MAX_DETOUR:
         return series
-    if abs(np.corrcoef(np.diff(series.strain - strain, 2), np.diff(series.force_n, 2))[0, 1]) > FELT:
-        return replace(series, parts=PARTS) if detour > COARSE else series
-    if not _is_better(series, strain):
-        return series
     note = f"strain jitters by {noise:.2g}, which would break contacts in the law: what turns within that was left out"
-    return series.mended(note, strain=strain)
+    curve = [replace(series, parts=PARTS)] * (detour > COARSE)
+    best = min([series.mended(note, strain=strain), *curve], key=_missed)
+    return best if _missed(best) < CLEARLY * _missed(series) else series
 
 
-def _is_better(series: Series, strain: FloatArray) -> bool:
-    """Whether the best of some usual laws meets the resistance better with a mended strain."""
+def _missed(series: Series) -> float:
+    """Deviation of ln R from the law that meets it best."""
+    from scipy.optimize import least_squares
 
-    def missed(strain: FloatArray, memory: Memory) -> float:
-        broken = broken_contacts(strain, series.seconds, memory)
-        columns = np.stack([np.ones_like(strain), strain, strain**2, *broken], axis=1)
-        left = np.log(series.resistance_ohm) - 2 * np.log1p(strain)
-        return float(np.std(left - columns @ np.linalg.lstsq(columns, left)[0]))
+    strain, rise = series.strain, np.log(series.resistance_ohm) - 2 * np.log1p(series.strain)
 
-    return min(missed(strain, each) for each in USUAL) < min(missed(series.strain, each) for each in USUAL)
+    def left(rates: FloatArray) -> FloatArray:
+        b_lengthen, ratio, *tau_s = np.exp(rates)
+        memory = Memory(b_lengthen=b_lengthen, b_shorten=ratio * b_lengthen, tau_s=tuple(tau_s))
+        columns = np.stack([np.ones_like(strain), strain, strain**2, *series.broken(memory)], axis=1)
+        return np.asarray(rise - columns @ np.linalg.lstsq(columns, rise)[0])
+
+    return float(np.std(least_squares(left, np.log(USUAL), bounds=np.log(RATES), diff_step=1e-3, xtol=1e-3).fun))
 
 
 def _followed(values: FloatArray, slack: float) -> FloatArray:

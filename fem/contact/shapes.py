@@ -22,13 +22,14 @@ MAX_MM = 1e4  #: of a radius or a length
 MIN_SLOPE = 1e-9  #: of the z of a face's normal; others stand upright
 UNITS = {"mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}  #: of files, in mm
 TOOL_FILES = (".stl", ".obj", ".ply", ".step", ".stp")
-USUAL_MM, LIKELY_MM = (3.0, 2000.0), (3.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
+USUAL_MM, LIKELY_MM = (1.0, 2000.0), (1.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
+SMALL_MM = 3.0  #: under which that is said: larger tools in cm and inches look so
 MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
 STEP_SHARE, STEP_ANGLE, STEP_S = 2e-5, 0.05, 50.0  #: of triangles off its surfaces: of its size, [rad]; to wait [s]
 RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
 MAX_LAYERS, MAX_POINTS = 50.0, 1_000_000  #: triangles over a point, else there are fewer; points at a time
 UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
-FAR, MIX = 1e9, (2**0.5, 3**0.5)  #: from the origin; make one number of three, and lines that meet no edge
+FAR, MIX = 1e9, (np.exp(0.5), np.pi**0.5)  #: from the origin; no angle's: make one number of three, and lines off edges
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  #: of a binary STL
 VERTEX = re.compile(rb"(?i)\bvertex" + 3 * rb"\s+(\S{1,40})")  #: of a text STL
 
@@ -256,6 +257,8 @@ def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg
     notes: list[str] = []
     try:
         if is_step:  # what is damaged may end its reader, and prints pages
+            if b"END-ISO-10303-21" not in path.read_bytes():
+                raise ShapeError(f"{path}: no STEP file, or cut off: export it again.")
             with open_pool(1) as pool:
                 triangles = pool.executor.submit(_of_step, path).result(STEP_S)
         else:
@@ -269,6 +272,8 @@ def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg
     large = np.ptp(triangles, axis=(0, 1)).max()
     if unit is None and scale == 1.0 and not is_step and not USUAL_MM[0] <= large <= USUAL_MM[1]:
         raise ShapeError(f"{path}: {large:.3g} mm large if in mm: give {proposed_units(large)}, or unit=mm if so.")
+    if unit is None and scale == 1.0 and not is_step and large < SMALL_MM:
+        notes.append(f"{path}: states no unit and is taken for mm: give {proposed_units(large)}")
     turned = triangles @ Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().T
     factor = scale * UNITS[unit or "mm"]
     return _solid_of(turned * factor, factor, path, notes)
@@ -293,7 +298,7 @@ def _of_mesh(path: Path, ending: str, notes: list[str]) -> FloatArray:
         stated, there = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
         if there < stated <= 1000 * there:
             raise ShapeError(f"{path}: cut off: it holds {there:,} of {stated:,} triangles: copy or export it again.")
-        return np.frombuffer(data, RECORD, stated, 84)["corners"].astype(float)
+        return np.frombuffer(data, RECORD, stated or there, 84)["corners"].astype(float)
     import trimesh
 
     return np.asarray(trimesh.load(BytesIO(data), file_type=ending, force="mesh", process=False).triangles @ np.eye(3))
@@ -311,7 +316,7 @@ def _solid_of(triangles_mm: FloatArray, factor: float, path: Path, notes: list[s
     """Height map of a closed surface's triangles, (n, 3 corners, 3), by the lowest over each point."""
     low, high = triangles_mm.min(axis=(0, 1)), triangles_mm.max(axis=(0, 1))
     size = high - low
-    _require(**{f"extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
+    _require(**{f"{path}: extent along {axis}": length for axis, length in zip("xyz", size, strict=True)})
     corners = triangles_mm - np.array([*(low + high)[:2] / 2, low[2]])
     doubled = np.linalg.det(np.diff(corners[..., :2], axis=1))  # 0 of upright faces, which have no area from below
     wide, layers = size[:2].max(), np.abs(doubled) / 2 / size[:2].prod()

@@ -102,6 +102,9 @@ def test_what_a_series_does_not_tell_is_said_by_name():
     said = dict(identified(bench(programme=(times_s, one_level), noise=0.02, rate_hz=1.0)).unknown)
     assert any("g1" in what and "g2" in what for what in said)
     assert said["compression"].startswith("the same test pressed")
+    stretched = identified(bench(programme=(times_s[:4], one_level[:4]), rate_hz=1.0))
+    assert any("b_shorten" in what for what, _ in stretched.unknown)
+    assert stretched.parameters["b_shorten"][1] == pytest.approx(stretched.parameters["b_shorten"][0] * 1.43, rel=0.2)
     whole = dict(identified(bench(noise=0.003, rate_hz=1.0)).unknown)
     assert list(whole) == ["compression"]
 
@@ -225,6 +228,18 @@ def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
     assert mended.strain == pytest.approx(series.strain, abs=9 * 3e-4)  # slack where it turns, and noise
 
 
+def test_jitter_that_only_rests_show_is_left_out(tmp_path):
+    """It adds 3 % to the way of a wave, and breaks what heals at rest."""
+    time_s = np.arange(0.0, 500.0, 0.1)
+    wave = 0.15 * (1 - np.cos(0.6 * time_s)) * np.clip((time_s - 20) / 2, 0, 1) * np.clip((350 - time_s) / 2, 0, 1)
+    true = bench(noise=3e-3, programme=(time_s, wave), rate_hz=10.0)
+    jittered = true.strain + 3e-4 * np.random.default_rng(0).standard_normal(len(true))
+    read = read_series(written(tmp_path / "s.csv", true, strain=jittered))
+    assert "strain jitters by 0.0003" in read.notes[0]
+    found = identified(read)
+    assert (np.abs(found.numbers - numbers_of(MEMORY)) < 4 * np.sqrt(found.covariance.diagonal())).all()
+
+
 def test_of_few_rows_that_alternate_half_are_left(series, tmp_path):
     """Fewer than a part that may be at rest: the jitter of strain is that of them all."""
     few = series.part(slice(440, 590))
@@ -274,7 +289,7 @@ def moving(rate_hz):
     return bench(noise=1e-3, programme=(time_s, strain), rate_hz=20.0).part(slice(None, None, round(20 / rate_hz)))
 
 
-@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 10.0])
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 4.0, 10.0])
 def test_motion_that_few_rows_show_is_no_jitter(rate_hz, tmp_path):
     """The force follows it. Between rows a curve is followed: straight ways would be too short."""
     read = read_series(written(tmp_path / "s.csv", moving(rate_hz)))

@@ -50,6 +50,12 @@ def text(mesh: trimesh.Trimesh, kind: str = "stl", point: str = ".") -> str:
     return f"solid tool\n{looped}endsolid tool\n"
 
 
+def uncounted(mesh: trimesh.Trimesh) -> bytes:
+    """A binary STL that says 0 for its number of triangles."""
+    data = mesh.export(file_type="stl")
+    return data[:80] + bytes(4) + data[84:]
+
+
 def written(path: Path, what: trimesh.Trimesh | bytes | str) -> Path:
     if isinstance(what, trimesh.Trimesh):
         what.export(path)
@@ -76,6 +82,7 @@ WAYS = {
     "as OBJ with commas": ("obj", partial(text, kind="obj", point=","), {}, "decimal commas"),
     "as text of PLY": ("ply", lambda mesh: mesh.export(file_type="ply", encoding="ascii"), {}, ""),
     "with more behind": ("stl", lambda mesh: mesh.export(file_type="stl") + b"made by hand", {}, ""),
+    "without their number": ("stl", uncounted, {}, ""),
     "some faces twice": ("stl", lambda mesh: soup(np.r_[mesh.triangles, mesh.triangles[::5]]), {}, "are there twice"),
     "face by face": ("stl", lambda mesh: soup(mesh.triangles + 1e-6 * np.sin(1e4 * mesh.triangles)), {}, ""),
 }  # fmt: skip
@@ -136,7 +143,8 @@ BALL, PUNCH = tool("ball"), tool("punch")
 REFUSED = {
     "m.stl": (BALL.copy().apply_scale(1e-3), r"0.016 mm large.*give unit=m \(16 mm\), or unit=mm"),
     "inch.obj": (BALL.copy().apply_scale(1 / 25.4), r"unit=cm \(6.3 mm\) or unit=inch \(16 mm\)"),
-    "cm.ply": (BALL.copy().apply_scale(0.1), r"1.6 mm large.*unit=cm \(16 mm\)"),
+    "cm.ply": (BALL.copy().apply_scale(0.05), r"0.8 mm large.*unit=cm \(8 mm\)"),
+    "pin in m.stl": (BALL.copy().apply_scale(1.25e-4), r"0.002 mm large.*give unit=m \(2 mm\), or unit=mm"),
     "um.stl": (BALL.copy().apply_scale(1e3), "1.6e\\+04 mm large.* its unit= or scale="),
     "cut.stl": (BALL.export(file_type="stl")[:40_000], "cut off: it holds 798 of 1,280 triangles"),
     "words.stl": (text(BALL)[:50_000], "damaged, cut off|not closed"),
@@ -150,6 +158,7 @@ REFUSED = {
     "points.ply": (trimesh.PointCloud(BALL.vertices).export(file_type="ply"), "no triangles"),
     "empty.obj": (b"", "damaged|no triangles"),
     "noise.stl": (np.random.default_rng(0).bytes(5000), "damaged"),
+    "cut.step": (b"ISO-10303-21;\nHEADER;\n", "no STEP file, or cut off"),
     "noise.step": (np.random.default_rng(0).bytes(5000), "no STEP"),
 }
 
@@ -173,6 +182,10 @@ def test_options_that_cannot_be_are_refused_and_a_unit_that_is_stated_is_believe
     ):
         with pytest.raises(ShapeError, match=told):
             read_solid(path, **options)
+    pin = written(tmp_path / "pin.stl", tool("ball").apply_scale(1 / 8))
+    assert read_solid(pin).map_mm == pytest.approx(read_solid(pin, "mm").map_mm)
+    assert "taken for mm: give unit=mm (2 mm) or unit=cm (20 mm) or unit=inch (50.8 mm)" in read_solid(pin).notes[0]
+    assert not read_solid(pin, "mm").notes
     small = read_solid(path, "mm")
     assert press(pair, small, 0.2).net_force_n[2] > 0
     with pytest.raises(ContactError, match=r"deeper than the tool is high, 0.6 mm.*unit=cm \(6 mm\) or unit=inch"):
