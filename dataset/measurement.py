@@ -55,7 +55,8 @@ class ReadingError(Drifts):
 
     def without_drifts(self) -> "ReadingError":
         """What each pillar has by itself, anew in each reading."""
-        return replace(self, **dict.fromkeys([spec.name for spec in fields(Drifts)], 0.0))
+        none: dict[str, Any] = {spec.name: 0.0 for spec in fields(Drifts)}
+        return replace(self, **none)
 
     def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""
