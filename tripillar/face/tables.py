@@ -12,7 +12,6 @@ from tripillar.face import stages
 
 MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
 ERRORS = ("relative error", "RMSE [N]", "% of full scale")
-UNBOUNDED = "–: forces come near 0, where a relative error means nothing\n"
 
 
 def _headed(left: tuple[str, ...], right: tuple[str, ...], **settings: Any) -> Table:
@@ -70,8 +69,7 @@ def stage_table(ran: "list[stages.Stage]") -> Table:
 def assessment_table(assessed: "Mapping[str, stages.Assessment]") -> Table:
     """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
     shares = [f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}" for name, one in assessed.items()]
-    unbounded = any(one.errors.rel_err is None for one in assessed.values())
-    caption = f"{UNBOUNDED * unbounded}errors within the 68 % and 95 % deviation: {', '.join(shares)}"
+    caption = f"errors within the 68 % and 95 % deviation: {', '.join(shares)}"
     table = _headed(("force", "decoupler"), (*ERRORS, "times the limit"), caption=caption)
     for name, one in assessed.items():
         table.add_row(name, "this model", *_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
