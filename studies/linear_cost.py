@@ -24,9 +24,9 @@ from geometry.layout import FloatArray
 from studies.charts import save_small
 from studies.program import run_alone
 
-SHOWN = ("contact", "three-axis")
+PROTOCOL = "three-axis"
 PEAKS_MPA = (0.3, 1.0, 3.0, 5.0)  #: to which the greatest pressure of every sample is scaled
-SAMPLES, SEED = 3, 7  #: of each protocol and peak
+SAMPLES, SEED = 3, 7  #: of each peak
 SMALL = 1e-4  #: of a load, at which rubber is linear
 CAP = 0.3  #: largest strain of a pillar, as of datasets
 NEAR = 1e-3  #: of the loads' root mean square: how little a force must miss before the inverse has settled
@@ -37,9 +37,8 @@ PICTURE_MPA = 3.0
 
 @dataclass(frozen=True)
 class Cost:
-    """Errors of linear elasticity on samples of one protocol under one greatest pressure."""
+    """Errors of linear elasticity on samples under one greatest pressure."""
 
-    protocol: str
     peak_mpa: float
     samples: int
     displacement: float  #: root mean square over that of the displacements
@@ -48,24 +47,22 @@ class Cost:
 
 
 def costs() -> list[Cost]:
-    """Errors by protocol and load, on a 3 × 3 array with stiff pads."""
+    """Errors by load, on a 3 × 3 array with stiff pads."""
     solver = SampleSolver(DESIGN, unwanted=lambda u: strains(u) > CAP)
     n, small_n = 3 * DESIGN.n_units, SMALL * DESIGN.pad.size_mm**2
     ones = small_n * np.eye(n).reshape(n, -1, 3)
     compliance = solver.displacements(ones).displacement_mm / small_n  # (n, n_units, 2, 3) per newton
     found = []
-    for protocol in SHOWN:
-        tractions = PROTOCOLS[protocol].draw(np.random.default_rng(SEED), SAMPLES, DESIGN)
-        for peak in PEAKS_MPA:
-            pressed = -tractions[..., 2].min(axis=1)
-            force = tractions * (peak / pressed)[:, None, None] * DESIGN.pad.size_mm**2
-            one = cost_of(protocol, peak, force, solver, compliance)
-            found += [one] if one.samples else []
+    tractions = PROTOCOLS[PROTOCOL].draw(np.random.default_rng(SEED), SAMPLES, DESIGN)
+    for peak in PEAKS_MPA:
+        pressed = -tractions[..., 2].min(axis=1)
+        force = tractions * (peak / pressed)[:, None, None] * DESIGN.pad.size_mm**2
+        one = cost_of(peak, force, solver, compliance)
+        found += [one] if one.samples else []
     return found
 
 
 def cost_of(
-    protocol: str,
     peak_mpa: float,
     force_n: FloatArray,
     solver: SampleSolver,
@@ -76,11 +73,10 @@ def cost_of(
     kept = found.settled & (strains(found.displacement_mm) <= CAP)
     finite, force_n = found.displacement_mm[kept], force_n[kept]
     if not kept.any():
-        return Cost(protocol, peak_mpa, 0, np.nan, np.full(3, np.nan), np.full(3, np.nan))
+        return Cost(peak_mpa, 0, np.nan, np.full(3, np.nan), np.full(3, np.nan))
     linear = np.tensordot(force_n.reshape(len(force_n), len(compliance)), compliance, 1)
     read = np.array([inverse(pillar_lengths(u, DESIGN.unit), compliance) for u in finite]).reshape(force_n.shape)
     return Cost(
-        protocol=protocol,
         peak_mpa=peak_mpa,
         samples=int(kept.sum()),
         displacement=float(np.sqrt(((linear - finite) ** 2).mean() / (finite**2).mean())),
@@ -108,14 +104,14 @@ def inverse(length_mm: FloatArray, compliance: FloatArray) -> FloatArray:
 def as_table(found: list[Cost]) -> str:
     """The rows of docs/physics.md."""
     lines = [
-        "| protocol | peak [MPa] | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
+        "| peak [MPa] | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
+        "| ---: | ---: | ---: | ---: | ---: |",
     ]
     for one in found:
         forces = [
             f"{e:.1f} of {s:.1f}" if s > 0 else f"{e:.1f} of 0" for e, s in zip(one.force, one.size_n, strict=True)
         ]
-        lines.append(f"| {one.protocol} | {one.peak_mpa:g} | {one.displacement:.1%} | {' | '.join(forces)} |")
+        lines.append(f"| {one.peak_mpa:g} | {one.displacement:.1%} | {' | '.join(forces)} |")
     return "\n".join(lines).replace("%", " %") + "\n"
 
 

@@ -93,8 +93,7 @@ def train(
         Forces that the network tells, along one axis or all; default: those that act, fz if pillars tell no others.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
-        solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
-        plates, 10 seconds.
+        solved, which takes minutes, once; on stiff pads from forces and moments of the plates, seconds.
     shape : list of path, optional
         Files of tools that press, as of 'press': a decoder of touches knows them as well.
     turn_deg : float or str, optional
@@ -213,8 +212,7 @@ def evaluate(
     """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
 
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
-    stand beside. With folds there is no model: every sample is tested once, by a network that never saw it; folds run
-    in parallel processes, which import the program that calls: it calls below ``if __name__ == "__main__":``.
+    stand beside. With folds there is no model: every sample is tested once, by a network that never saw it.
 
     Parameters
     ----------
@@ -243,6 +241,10 @@ def evaluate(
         If the response is of another design.
     FileFormatError
         If the samples are of another sensor than the model's.
+
+    Notes
+    -----
+    Folds run in parallel processes, which import the program that calls: call below ``if __name__ == "__main__":``.
 
     Examples
     --------
