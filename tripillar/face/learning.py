@@ -12,7 +12,7 @@ from common.errors import DesignError
 from decoupler.model.settings import Feature, Net, Trainer
 from geometry.design import SensorDesign
 from geometry.design import Unit as PillarUnit
-from geometry.layout import require_told, told_by_tilt, untold
+from geometry.layout import FloatArray, require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -33,8 +33,10 @@ from tripillar.face.pressing import Turn, Unit, read_tool
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
     Response = stages.ArrayResponse | None
+    Predictions = FloatArray | File | None
 else:
     SeveralSamples = list[Path]
+    Predictions = Path | None
     Response = Annotated[None, Flag(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
@@ -206,10 +208,11 @@ def evaluate(
     *,
     limits: Annotated[bool, Flag(negative=("--no-limits",))] = True,
     folds: int | None = None,
+    predictions: Predictions = None,
     response: Response = None,
     **training: Annotated[Any, TRAINING],
 ) -> "dict[str, stages.Assessment]":
-    """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
+    """Show the errors of a model, or of another's predictions, beside what the readings allow; or cross-validate.
 
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
     stand beside. With folds there is no model: every sample is tested once, by a network that never saw it.
@@ -224,6 +227,9 @@ def evaluate(
         Compute the least error that the readings allow, too.
     folds : int, optional
         Number of parts to cross-validate, each tested once; the paper uses 10.
+    predictions : array or path, optional
+        Forces that another program makes of the same data, in place of a model: a NetCDF file with force_n (sample,
+        row, col, axis) [N], the samples in their order, NaN along axes that are left out.
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     **training
@@ -262,8 +268,8 @@ def evaluate(
     caller, name, named = current(), name_of(data, "samples"), name_of(model, "model")
     if data is None:
         raise DesignError("give data=, samples to test on.")
-    if (model is None) == (folds is None):
-        raise DesignError("give model=, or folds= to cross-validate: one of them.")
+    if sum(each is None for each in (model, folds, predictions)) != 2:
+        raise DesignError("give model=, predictions=, or folds= to cross-validate: one of them.")
     if folds is not None:
         asked = signature(train).bind(data, response=response, **training)
         asked.apply_defaults()
@@ -271,7 +277,9 @@ def evaluate(
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
-    assert model is not None  # there are no folds
+    if predictions is not None:
+        return _assessed_predictions(predictions, samples_of(data), name, limits, response)
+    assert model is not None  # there are neither folds nor predictions
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
     if sensor := samples.design or decoupler.design:
@@ -287,6 +295,22 @@ def evaluate(
     assessed = Evaluation(stages.assess(decoupler, samples, solved))
     _mention_untrusted(decoupler)
     caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
+    return assessed
+
+
+def _assessed_predictions(
+    source: "FloatArray | File", samples: "stages.AnySamples", name: str, limits: bool,
+    response: "stages.ArrayResponse | None",
+) -> "dict[str, stages.Assessment]":  # fmt: skip
+    """Errors of another program's forces."""
+    predicted_n = source
+    if isinstance(source, Path | str):
+        dims = stages.VARIABLES["force_n"].dims
+        content = stages.read_netcdf(Path(source), {"force_n": dims}, "xarray: ds.to_netcdf(FILE)")
+        predicted_n = content.data_vars["force_n"].values
+    solved = stages.response_of(samples, name, samples.design, response) if limits else None
+    assessed = Evaluation(stages.assess_predictions(np.asarray(predicted_n, float), samples, solved))
+    current().answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed
 
 
