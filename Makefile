@@ -61,8 +61,8 @@ firmware:  ## the boards' firmware, ready to flash
 simulator: firmware  ## the program that runs that firmware on a simulated chip
 	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware simulator
 
-hardware-test: $(READY)  ## the tests of the board's side alone, with what they measure and why any is skipped
-	$(BIN)/python -m pytest -rs -m 'long or not long' hardware tests/hardware tests/tripillar/test_board_commands.py
+hardware-test: $(READY)  ## run those of real ports, simulated chips and a real browser, and say why any is skipped
+	$(BIN)/python -m pytest $(WORKERS) -rs -m 'real and not long'
 
 test: $(READY)  ## run the tests, a process more than there are cores, since some wait: five at most
 	$(BIN)/python -m pytest $(WORKERS)
@@ -78,7 +78,7 @@ check: $(READY)  ## what CI runs: style, types, tests
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(MAKE) test
+	$(MAKE) test hardware-test
 
 format: $(READY)  ## lay the code out
 	$(BIN)/ruff format

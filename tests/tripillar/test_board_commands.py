@@ -28,6 +28,7 @@ from hardware.recording import read_recording
 from tests.hardware.boards import recording_from_resistances
 from tests.house import PATIENT_S, House
 
+pytestmark = pytest.mark.real
 RESPONSE = layer_response(SensorDesign(array=Array(rows=1, cols=2)))
 MODEL = ("--model", "model.safetensors")
 CALIBRATE = "identify", "--as-designed", "--design", "small.toml", "--port"
