@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -26,7 +26,8 @@ Break = Callable[[FaultTest, FloatArray, np.random.Generator], str]
 
 def spoil(kind: str, ohms: FloatArray, which: list[int]) -> None:
     """Make pillars stuck, open, or read 2 % too much."""
-    ohms[:, which] = {"stuck": ohms[0, which], "open": np.inf}.get(kind, 1.02 * ohms[:, which])
+    wrong: dict[str, Any] = {"stuck": ohms[0, which], "open": np.inf, "gain": 1.02 * ohms[:, which]}
+    ohms[:, which] = wrong[kind]
 
 
 def pillar(kind: str, name: str) -> Break:
@@ -156,7 +157,7 @@ def faults(
             "rest": windows(rest[None], others, WINDOW, generator),
         }
         for name, some in without.items():
-            met = [str(found[0]) for ohms in some if (found := test.named(ohms))]
+            met = [str(told[0]) for ohms in some if (told := test.named(ohms))]
             said = {"scans": len(some) * WINDOW, "alarms": len(met), "such as": met[0] if met else ""}
             alarms.append({"trained on": protocol, "without a fault": name} | said)
     report({"Faults that are named": named, "False alarms": alarms}, out / "faults.json")

@@ -14,7 +14,7 @@ from common.errors import DesignError
 from dataset.stored import read_samples
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.model_file import read_network
-from studies.tables import OUT, Folder, Row, report
+from studies.tables import OUT, Folder, Row, Tables, report
 
 
 def finite_samples(
@@ -41,5 +41,5 @@ def finite_samples(
     off = np.abs(refined_n.reshape(true.shape) - true)
     within = [(off < half).mean(axis=(0, 1, 2)) for half in decoder.half_widths(samples.resistance_ohm)]
     held = {f"within {part} % [%]": (100 * each).tolist() for part, each in zip((68, 95), within, strict=True)}
-    tables = {"Errors fx / fy / fz [% of full scale]": rows, "The posterior": [held | {"ms a sample": ms}]}
+    tables: Tables = {"Errors fx / fy / fz [% of full scale]": rows, "The posterior": [held | {"ms a sample": ms}]}
     report(tables, out / "finite-samples.json")

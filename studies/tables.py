@@ -16,7 +16,7 @@ from common.storage.files import write_json
 from tripillar.terminal.entry import wrote
 from tripillar.terminal.tables import show
 
-Row = Mapping[str, Any]  #: cells by header
+Row = dict[str, Any]  #: cells by header
 Tables = Mapping[str, Sequence[Row]]  #: rows by title
 OUT = Path("out/studies")
 Folder = Annotated[Path, Parameter(help="Folder to write into.")]

@@ -103,7 +103,7 @@ def hardware(
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):
         _, response = respond(SensorDesign(), bars)
         whole = press_and_slide(response, PressAndSlide())
-        motion = Motion(whole.resistance_ohm[::every], whole.force_n[::every])
+        motion = Motion(resistance_ohm=whole.resistance_ohm[::every], force_n=whole.force_n[::every])
         model = joint_net(response)
         tables = {
             "Crosstalk of the read-outs, errors in % of a resistance, times of a scan in µs": [
