@@ -43,12 +43,7 @@ class Ended(Exception):
 class Trace:
     """Hand `record` to a training as its progress: the clock, of processor time, starts when this is made.
 
-    Parameters
-    ----------
-    goal_mse : float
-        Mean squared error of the scaled outputs at which a training is ended.
-    patience_s : float
-        Time after which it is.
+    A training is ended at a mean squared error of the scaled outputs, or after some time.
     """
 
     def __init__(self, goal_mse: float, patience_s: float) -> None:

@@ -100,13 +100,7 @@ def spacing_cache_key(design: SensorDesign, asked: Asked) -> str:
 
 
 def study_spacing(design: SensorDesign, asked: Asked, progress: Callable[[str], None] = lambda step: None) -> Spacing:
-    """Solve every pitch; `progress` is called as each begins.
-
-    Raises
-    ------
-    GeometryError, SolverError
-        If a response cannot be trusted.
-    """
+    """Solve every pitch; `progress` is called as each begins."""
     spaced = []
     for pitch_mm in asked.pitches_mm:
         progress(f"{pitch_mm:g} mm")
@@ -207,19 +201,8 @@ def lightest_touch(design: SensorDesign, asked: Asked) -> Touch:
 def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: float) -> FloatArray:
     """Largest relative change of any pillar's resistance by touches on an endless array.
 
-    Parameters
-    ----------
-    design : SensorDesign
-        Its unit, pitch and matrix count; the body is taken as an endless layer of the matrix.
-    middles_mm : array, shape (n, 2)
-        Where the touches are, from the centre of a unit.
-    touch_mm : float
-        Side of the square touched.
-
-    Returns
-    -------
-    array, shape (n, 3)
-        By a force along x, y and z [1/N]: 2 Δl/l, since R grows as l².
+    Touches are squares about middles (n, 2), from the centre of a unit, on an endless layer of the matrix. Gives (n, 3)
+    by a force along x, y and z [1/N]: 2 Δl/l, since R grows as l².
     """
     near = replace(design, array=Array(rows=2 * AROUND + 1, cols=2 * AROUND + 1, pitch_mm=design.array.pitch_mm))
     touches = np.hstack([middles_mm - touch_mm / 2, middles_mm + touch_mm / 2])
@@ -234,28 +217,12 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
 
 
 def decay_length_mm(height_mm: float, poisson: float) -> float:
-    """Distance over which what a load does to a layer's surface falls by e, far from the load.
+    """Distance λ over which what a load does to a layer's surface falls by e, far from the load.
 
-    Parameters
-    ----------
-    height_mm : float
-        Of the layer.
-    poisson : float
-        ν, from 0 to below 0.5.
+    Displacements fall as exp(−r/λ)/√r; λ is 1.35 heights as ν → 0.5. Far away counts the pole of the spectrum that is
+    nearest the real axis: D = 0 at q = i x, x the root of 2κ cos 2x = 4x² − 1 − κ², and λ = h/x. As ν → 0.5, κ → 1 it
+    is that of cos x = x. What twists the surface about the load (the transverse part) falls faster, with x = π/2.
 
-    Returns
-    -------
-    float
-        λ [mm]: displacements fall as exp(−r/λ)/√r; 1.35 heights as ν → 0.5.
-
-    Notes
-    -----
-    Far away counts the pole of the spectrum that is nearest the real axis: D = 0 at q = i x, x the root of
-    2κ cos 2x = 4x² − 1 − κ², and λ = h/x. As ν → 0.5, κ → 1 it is that of cos x = x. What twists the surface about the
-    load (the transverse part) falls faster, with x = π/2.
-
-    Examples
-    --------
     >>> round(decay_length_mm(10.0, 0.49), 2)
     13.37
     """

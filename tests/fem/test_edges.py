@@ -12,32 +12,28 @@ from threadpoolctl import threadpool_limits
 
 from fem.kernel.elements import taylor_hood
 from fem.kernel.factor import Factor, checked_solve
-from fem.kernel.loads import DeadLoad
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.methods.plan import make_plan
 from fem.methods.solving import follow, solve_scene
-from fem.scene.scene import Block, Inclusion, Pillar, Probe, Scene
+from fem.scene.scene import Block, Inclusion, Pillar, Scene
 from fem.scene.solution import largest_error
 from geometry.design import Material
+from tests.fem.scenes import pressed
 
 YOUNG_MPA, NU = 6.1, 0.49
 EXACT = 1e-12  #: for what differs by rounding alone
+STIFF = Inclusion(
+    base_mm=(3.0, 3.0, 0.0), top_mm=(5.0, 5.0, 4.0), section_mm=(2.0, 2.0), is_round=True,
+    material=Material(young_mpa=10 * YOUNG_MPA, poisson=NU),
+)  # fmt: skip
 
 
 def block(mpa: float, tetrahedra: bool) -> Scene:
     """A block of boxes under a pressure in its middle, or one with a round leaning pillar, on tetrahedra."""
-    at = {"center_mm": (4.0, 4.0), "size_mm": (5.0, 5.0)}
-    material = Material(young_mpa=YOUNG_MPA, poisson=NU)
-    stiff = Inclusion(
-        base_mm=(3.0, 3.0, 0.0), top_mm=(5.0, 5.0, 4.0), section_mm=(2.0, 2.0), is_round=True,
-        material=replace(material, young_mpa=10 * YOUNG_MPA),
-    )  # fmt: skip
-    return Scene(
-        body=Block(size_mm=(8.0, 8.0, 4.0)), material=material, inclusions=(stiff,) if tetrahedra else (),
-        loads=(DeadLoad(**at, traction_mpa=(0.0, 0.0, -mpa)),), probes=(Probe(name="patch", kind="mean", **at),),
-        tolerance=3e-2,
-    )  # fmt: skip
+    rubber, traction = Material(young_mpa=YOUNG_MPA, poisson=NU), (0.0, 0.0, -mpa)
+    scene = pressed(Block(size_mm=(8.0, 8.0, 4.0)), (4.0, 4.0), (5.0, 5.0), traction, material=rubber, tolerance=3e-2)
+    return replace(scene, inclusions=(STIFF,)) if tetrahedra else scene
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.4999])
@@ -73,15 +69,13 @@ def test_loads_from_nothing_to_a_billion_move_in_proportion_on_any_number_of_thr
 @pytest.mark.parametrize("nu", [0.3, NU])
 def test_far_from_its_sides_a_flat_block_sinks_as_if_confined(nu):
     """By p h / (λ + 2μ)."""
-    rubber, whole = Material(young_mpa=YOUNG_MPA, poisson=nu), {"center_mm": (100.0, 100.0), "size_mm": (200.0, 200.0)}
-    scene = Scene(
-        body=Block(size_mm=(200.0, 200.0, 4.0)), material=rubber, tolerance=5e-3,
-        loads=(DeadLoad(**whole, traction_mpa=(0.0, 0.0, -1.0)),),
-        probes=(Probe(name="middle", kind="mean", center_mm=(100.0, 100.0), size_mm=(4.0, 4.0)),),
-    )  # fmt: skip
+    rubber, side = Material(young_mpa=YOUNG_MPA, poisson=nu), (200.0, 200.0)
+    whole = pressed(
+        Block(size_mm=(*side, 4.0)), (100.0, 100.0), side, (0.0, 0.0, -1.0), material=rubber, tolerance=5e-3
+    )
+    found = solve_scene(replace(whole, probes=(replace(whole.probes[0], size_mm=(4.0, 4.0)),)))[0]
     lame, mu = rubber.lame_mpa
-    found = solve_scene(scene)[0]
-    assert found.probes["middle"] == pytest.approx([0, 0, -4.0 / (lame + 2 * mu)], abs=5e-3 * 4.0 / (lame + 2 * mu))
+    assert largest_error(found.probes, {"patch": np.array([0.0, 0.0, -4.0 / (lame + 2 * mu)])}) < 5e-3
 
 
 @pytest.mark.parametrize(("width_mm", "height_mm"), [(0.1, 10.0), (1.0, 100.0), (1.0, 20.0)])
@@ -89,15 +83,11 @@ def test_slender_pillars_are_rods_and_timoshenko_s_beams(width_mm, height_mm):
     """Their clamped end makes them stiffer by 0.2 w/L at most."""
     p, G, size = 1e-3, YOUNG_MPA / 2.6, (width_mm, width_mm)
     bent = p * height_mm**3 / (3 * YOUNG_MPA * width_mm**2 / 12) + p * height_mm / (5 / 6 * G)
+    body = Pillar(section_mm=size, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, height_mm))
+    rubber = Material(young_mpa=YOUNG_MPA, poisson=0.3)
     for traction, exact in (
         ((0.0, 0.0, -p), (0.0, 0.0, -p * height_mm / YOUNG_MPA)),
         ((p, 0.0, 0.0), (bent, 0.0, 0.0)),
     ):
-        scene = Scene(
-            body=Pillar(section_mm=size, base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, height_mm)),
-            material=Material(young_mpa=YOUNG_MPA, poisson=0.3), tolerance=5e-3,
-            loads=(DeadLoad(center_mm=(0.0, 0.0), size_mm=size, traction_mpa=traction),),
-            probes=(Probe(name="top", kind="mean", center_mm=(0.0, 0.0), size_mm=size),),
-        )  # fmt: skip
-        found = solve_scene(scene)[0]
-        assert largest_error(found.probes, {"top": np.array(exact)}) < 5e-3 + 0.2 * width_mm / height_mm
+        found = solve_scene(pressed(body, (0.0, 0.0), size, traction, material=rubber, tolerance=5e-3))[0]
+        assert largest_error(found.probes, {"patch": np.array(exact)}) < 5e-3 + 0.2 * width_mm / height_mm
