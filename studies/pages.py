@@ -1,4 +1,4 @@
-"""Tables of docs/ from what runs wrote: ``python -m studies.pages OUT`` takes new numbers from a folder.
+"""Tables of docs/ from what runs wrote: ``python -m studies pages OUT`` takes new numbers from a folder.
 
 A run writes JSON; what pages show of it is kept in docs/numbers/, and stands in the page between comments
 ``<!-- numbers: NAME -->`` and ``<!-- end -->``. A test finds a page that is older than its numbers.
@@ -13,7 +13,6 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from common.storage.files import write_json, write_text
-from studies.program import run_alone
 from tripillar.terminal.entry import wrote
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -192,7 +191,3 @@ def _kept(numbers: Numbers) -> Numbers:
     if isinstance(numbers, list):
         return [_kept(one) for one in numbers]
     return float(f"{numbers:.6g}") if isinstance(numbers, float) else numbers
-
-
-if __name__ == "__main__":
-    run_alone(fill)

@@ -89,7 +89,7 @@ def assess_predictions(
     }
     n_pillars = int(np.prod(data.shape)) * len(data.layout.pillars)
     readable = np.ones(n_pillars, bool) if data.dead is None else ~data.dead.reshape(-1)
-    found = {name: Assessment(errors=each, coverage=None) for name, each in errors.items()}
+    found = {name: Assessment(errors=each) for name, each in errors.items()}
     return _compared(found, component, data, readable, response, {})
 
 

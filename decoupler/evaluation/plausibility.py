@@ -316,7 +316,7 @@ class _Fit:
     def of_axes(self, limit: float) -> str | None:
         """Name the axes whose forces, or all whose forces, are another multiple than a limit allows."""
         acts, times = np.ptp(self.data.force_n, axis=(0, 1, 2)) > 0, self.times
-        off = acts & ((times < 1.0 / limit) | (times > limit))
+        off = acts & (np.abs(times) > CONSTANT) & ((times < 1.0 / limit) | (times > limit))  # 0: none shows
         if off.sum() == acts.sum() > 0 and np.ptp(times[acts]) < (OF_PAD - 1.0) * np.abs(times[acts]).max():
             return self.said("all forces", times[acts].mean())
         return "; ".join(self.said(f"forces along {AXES[k]}", times[k]) for k in np.flatnonzero(off)) or None

@@ -135,7 +135,7 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     found = tp.evaluate(predictions=tmp_path / "own.nc", data=data, response=solved)
     for name, one in found.items():
         assert (one.errors, one.limits, one.ratio) == (own[name].errors, own[name].limits, own[name].ratio)
-        assert one.coverage is None
+        assert one.coverage == ()
     fz_alone = np.where([False, False, True], data.force_n, np.nan)
     (one,) = tp.evaluate(predictions=fz_alone, data=data, limits=False).values()
     assert one.errors.rmse_n == 0

@@ -9,7 +9,7 @@ def test_no_page_is_older_than_its_numbers():
     pages = [(DOCS / name).read_text(encoding="utf-8") for name in PAGES]
     assert {block[1] for page in pages for block in BLOCK.finditer(page)} == set(TABLES)
     for page in pages:
-        assert filled(page, DOCS / "numbers") == page, "run python -m studies.pages"
+        assert filled(page, DOCS / "numbers") == page, "run python -m studies pages"
 
 
 def test_new_numbers_of_a_run_come_into_the_page(tmp_path):

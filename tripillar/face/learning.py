@@ -328,9 +328,8 @@ def _cross_validated(
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
     result = {"feature": network.feature} | stages.summary(tested)
     current().answer(lambda: result, lambda: [stages.crossval_table(tested)])
-    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None}
     over_folds = stages.over_folds(tested, np.mean)
-    return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
+    return Evaluation({force: stages.Assessment(errors=errors) for force, errors in over_folds.items()})
 
 
 def _touch_decoder(
