@@ -39,9 +39,7 @@ class Assessment:
     """Everything about one force component."""
 
     errors: ForceErrors
-    coverage: (
-        tuple[float, float] | None
-    )  #: shares of errors within the 68 % and the 95 % half-width; None without these
+    coverage: tuple[float, ...] = ()  #: shares of errors within the 68 % and the 95 % half-width, if there are any
     limits: Limits | None = None  #: None if the response is unknown or other forces act as well
     ratio: float | None = None  #: error over the lower bound without bias; None without noise
     baselines: dict[str, ForceErrors] = field(default_factory=dict)  #: eq. 8, if the design is known, and least squares

@@ -16,17 +16,7 @@ from geometry.layout import FloatArray, require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
-    DesignLike,
-    File,
-    Flag,
-    ModelLike,
-    Options,
-    SamplesLike,
-    design_of,
-    job,
-    model_of,
-    name_of,
-    samples_of,
+    DesignLike, File, Flag, ModelLike, Options, SamplesLike, design_of, job, model_of, name_of, samples_of,
 )  # fmt: skip
 from tripillar.face.pressing import Turn, Unit, read_tool
 
@@ -278,7 +268,11 @@ def evaluate(
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
     if predictions is not None:
-        return _assessed_predictions(predictions, samples_of(data), name, limits, response)
+        samples = samples_of(data)
+        solved = stages.response_of(samples, name, samples.design, response) if limits else None
+        assessed = Evaluation(stages.assess_predictions(_predicted(predictions), samples, solved))
+        caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
+        return assessed
     assert model is not None  # there are neither folds nor predictions
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
@@ -298,20 +292,12 @@ def evaluate(
     return assessed
 
 
-def _assessed_predictions(
-    source: "FloatArray | File", samples: "stages.AnySamples", name: str, limits: bool,
-    response: "stages.ArrayResponse | None",
-) -> "dict[str, stages.Assessment]":  # fmt: skip
-    """Errors of another program's forces."""
-    predicted_n = source
-    if isinstance(source, Path | str):
-        dims = stages.VARIABLES["force_n"].dims
-        content = stages.read_netcdf(Path(source), {"force_n": dims}, "xarray: ds.to_netcdf(FILE)")
-        predicted_n = content.data_vars["force_n"].values
-    solved = stages.response_of(samples, name, samples.design, response) if limits else None
-    assessed = Evaluation(stages.assess_predictions(np.asarray(predicted_n, float), samples, solved))
-    current().answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
-    return assessed
+def _predicted(source: "FloatArray | File") -> "FloatArray":
+    """Forces of another program, or those of its file."""
+    if not isinstance(source, Path | str):
+        return np.asarray(source, float)
+    wanted = {"force_n": stages.VARIABLES["force_n"].dims}
+    return stages.read_netcdf(Path(source), wanted, "xarray: ds.to_netcdf(FILE)").data_vars["force_n"].values
 
 
 def _cross_validated(
