@@ -16,7 +16,17 @@ from geometry.layout import FloatArray, require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
-    DesignLike, File, Flag, ModelLike, Options, SamplesLike, design_of, job, model_of, name_of, samples_of,
+    DesignLike,
+    File,
+    Flag,
+    ModelLike,
+    Options,
+    SamplesLike,
+    design_of,
+    job,
+    model_of,
+    name_of,
+    samples_of,
 )  # fmt: skip
 from tripillar.face.pressing import Turn, Unit, read_tool
 
@@ -30,8 +40,6 @@ else:
     Response = Annotated[None, Flag(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
-GOAL = Flag(name=("--goal",))
-ITERATIONS = Flag(name=("--iterations",))
 AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
@@ -66,8 +74,8 @@ def train(
     hidden: int = 17,
     trainer: Trainer = "varpro",
     feature: Feature = "auto",
-    goal_mse: Annotated[float | None, GOAL] = None,
-    max_iterations: Annotated[int, ITERATIONS] = 0,
+    goal_mse: Annotated[float | None, Flag(name=("--goal",))] = None,
+    max_iterations: Annotated[int, Flag(name=("--iterations",))] = 0,
     seed: int = 0,
     design: DesignLike | None = None,
     response: Response = None,
