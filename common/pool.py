@@ -33,7 +33,8 @@ LIMIT_S = 3600.0  #: a worker that is at one task for longer ends itself: its me
 TRIES = 4  #: workers that a task may end before it counts as failed
 LOOK_S = 0.1  #: between two looks of a worker for what is to end it
 LOOKS = 5  #: looks for one at the memory, which takes longer
-CONNECT_S = 15  #: for a scheduler to answer, and then for its first worker
+GREETING_S = 8  #: for a scheduler to answer
+FIRST_WORKER_S = 15  #: for its first worker, then
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TOO_LARGE, TOO_LONG = 71, 72  #: codes with which a worker ends itself
 ENDS = {f"EXIT({TOO_LARGE})": "took more memory than it may", f"EXIT({TOO_LONG})": "was at it for too long"}
@@ -306,19 +307,19 @@ def _connected(scheduler: str) -> Iterator[Pool]:
 
     def connect() -> None:
         try:
-            answer.set_result(Client(scheduler, timeout=CONNECT_S))
+            answer.set_result(Client(scheduler, timeout=GREETING_S))
         except Exception as error:
             answer.set_exception(error)
 
     try:
         Thread(target=connect, daemon=True).start()  # Dask waits for ever for the greeting of a port that says nothing
-        client = answer.result(CONNECT_S)
+        client = answer.result(GREETING_S)
     except (OSError, ValueError, TypeError) as error:  # TypeError: no certificates for tls://
-        said = str(error) or f"nothing said in {CONNECT_S} s"
+        said = str(error) or f"nothing said in {GREETING_S} s"
         raise DesignError(f"no scheduler at {scheduler} ({said}): start one by 'dask scheduler'.") from None
     with silence_logging_cmgr(logging.CRITICAL), client:  # a lost scheduler is one line, not its traceback
         try:
-            client.wait_for_workers(1, timeout=CONNECT_S)
+            client.wait_for_workers(1, timeout=FIRST_WORKER_S)
         except TimeoutError:
             start = f"start some by 'dask worker {scheduler}'."
             raise DesignError(f"the scheduler at {scheduler} has no workers: {start}") from None

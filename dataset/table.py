@@ -147,8 +147,9 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
 
 
 def holds_samples(path: Path) -> bool:
-    """Whether a file is a CSV table of samples, by the names of its columns."""
-    return Path(path).suffix == ".csv" and any(map(COLUMN.fullmatch, _form_of(Path(path)).header))
+    """Whether a file is a CSV table of samples, by the names of its columns; one of known loads has readings, too."""
+    header = _form_of(Path(path)).header if Path(path).suffix == ".csv" else []
+    return any(place[4] == "n" or "load" not in header for place in map(COLUMN.fullmatch, header) if place)
 
 
 def _form_of(path: Path) -> Form:

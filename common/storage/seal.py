@@ -67,6 +67,10 @@ def opened_json(text: str) -> dict[str, Any]:
         plain = json.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+    except json.JSONDecodeError:
+        raise
+    except ValueError:
+        raise ValueError("a number has thousands of digits") from None
     if not isinstance(plain, dict):
         raise ValueError("no JSON object")
     stated = plain.pop(KEY, None)

@@ -37,8 +37,9 @@ def tables_of(text: str, source: object, refusal: type[TriPillarError]) -> dict[
     require_bounded(text, source, refusal)
     try:
         return tomllib.loads(text)
-    except ValueError as error:  # also a number of thousands of digits
-        raise refusal(f"{source}: not valid TOML: {error}") from None
+    except ValueError as error:
+        said = error if isinstance(error, tomllib.TOMLDecodeError) else "a number has thousands of digits: give fewer."
+        raise refusal(f"{source}: not valid TOML: {said}") from None
 
 
 def require_bounded(text: str, source: object, refusal: type[TriPillarError]) -> None:

@@ -170,7 +170,7 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
     size = np.sqrt((expected**2).sum(axis=(1, 2, 3)))
     is_told = math.sqrt(2.0) * pairs.noise < MAX_UNSURE * size
     if not is_told.any():
-        times = math.sqrt(2.0) * pairs.noise / (MAX_UNSURE * float(size.max()))
+        times = math.sqrt(2.0) * pairs.noise / (MAX_UNSURE * max(float(size.max()), 1e-15))
         return (
             f"no load is large enough to be told from the noise of {100 * pairs.noise:.2g} %: take {times:.2g} times "
             "as much, or measure longer (seconds=); loads are in newtons, weights in grams"

@@ -41,6 +41,7 @@ LARGEST = 1e12  #: of a reading
 MIN_OHM = 50.0  #: no strip of filled silicone has less; kΩ look so
 MIN_STRAIN, MAX_STRAIN = 5e-3, 3.0  #: range of a series that tells something, and that is believed
 GAP_S, GAP_STEPS = 5.0, 20.0  #: between rows, forwards or back, and over their usual distance
+SAME_TIME = 1e-6  #: of the usual step: rows that are nearer have one time
 RESTARTS = 0.05  #: of the rows: a table whose clock steps back more often is in no order
 STRAINED = 0.05  #: of the range: a first strain that is none of rest
 GLITCH_ROWS, JUMP = 5, 0.04  #: longest glitch of a position, and the least of the range
@@ -229,7 +230,9 @@ def _runs_apart(series: Series) -> Series:
 
 def _in_order(series: Series) -> Series:
     """Rows in the order of time, one of each."""
-    rows = np.unique(series.time_s, return_index=True)[1]
+    rows = np.argsort(series.time_s, kind="stable")
+    seconds = np.diff(series.time_s[rows], prepend=-np.inf)
+    rows = rows[seconds > SAME_TIME * np.median(np.r_[0.0, seconds[1:]])]
     late, same = (series.seconds < 0).any(), len(series) - len(rows)
     said = "rows put in the order of time" * bool(late), f"{same} rows of the same time left out" * (same > 0)
     return series.part(rows, *said)

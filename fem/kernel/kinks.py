@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import leggauss
 from skfem import Element
 
 from fem.kernel.elements import Basis
-from fem.kernel.law import LAWS
+from fem.kernel.law import LAWS, MIN_LAME
 from fem.kernel.reference import IntArray, point_stiffness, tabulated
 from fem.kernel.rubber import Rubber
 from geometry.design import Material
@@ -72,7 +72,8 @@ class KinkedRubber(Rubber):
         """Stiffness of boxes that are cut, (e, n, n, 3, 3) [N/mm], their jumps and pressures eliminated."""
         points = self._at(self.basis, elements)
         inside, dx = self._inside(points), self._volume[elements] * self._weights
-        (lame, mu), (other_lame, other_mu) = (rubber.lame_mpa for rubber in self._rubbers)
+        (_, mu), (_, other_mu) = moduli = [rubber.lame_mpa for rubber in self._rubbers]
+        lame, other_lame = (max(first, MIN_LAME * second) for first, second in moduli)
         slopes = np.einsum("mnq,emi->einq", tabulated(self.basis.elem, self._places)[1], self.pull[elements, 0])
         slopes = np.concatenate([slopes, self._jumps(points)], axis=2)
         shown = tabulated(self.pressure, self._places)[0].T

@@ -24,6 +24,7 @@ BITS = 16  #: that a reading is kept in
 SIZELESS = "lines of numbers do not say how many units there are: give rows= and cols= of them."
 UNRANGED = 2**32 - 1  #: as `sense_ohm`, before numbers have come
 ROOM = 10.0  #: over the first numbers of a board that they may grow to, unless they are whole
+RANGES = 0.1, 10**9  #: that numbers kept to 1e-4 of the largest can have, as a range is whole and what a crossbar takes
 NOMINAL_HZ = 100  #: where nothing tells the time
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan", re.IGNORECASE)
 _BETWEEN = re.compile(r"[\s,;|\[\](){}<>=\"']+")
@@ -47,7 +48,11 @@ def ranged(info: Info, numbers: FloatArray, room: float = 1.0) -> Info:
     """The INFO with a range that holds these numbers, and `room` times as much; whole ones are kept as they are."""
     most, full = float(numbers.max()), 2**BITS - 1
     whole = most <= full and not (numbers % 1.0).any()
-    return replace(info, sense_ohm=full if whole else int(room * most) + 1) if info.sense_ohm == UNRANGED else info
+    return (
+        replace(info, sense_ohm=full if whole else int(min(room * most, RANGES[1] - 1)) + 1)
+        if info.sense_ohm == UNRANGED
+        else info
+    )
 
 
 def counted(info: Info, numbers: FloatArray) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:

@@ -26,8 +26,8 @@ from common.bounded import require_memory, require_regular
 from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
-from hardware.link.frames import PROTOCOL, Frame, Info, Statistics, pack, packed_dtype, unpack
-from hardware.link.lines import LineDecoder, counted, ranged
+from hardware.link.frames import PROTOCOL, Frame, Info, ScanMode, Statistics, pack, packed_dtype, unpack
+from hardware.link.lines import RANGES, LineDecoder, counted, ranged
 from hardware.recording.recorded import MADE_FROM, Header, Recording, is_restart, read_header, unwrapped_s
 
 _SESSION, _FRAME, _END = b"s", b"f", b"e"  # JSON: a run's header; time of arrival and a frame; JSON: statistics
@@ -245,6 +245,11 @@ def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
         clock, numbers = numbers[:, -is_last], np.delete(numbers, -is_last, axis=1)
         clock = (clock - clock[0]) * (1.0 if (clock % 1.0).any() else 1e-3)  # with decimals seconds, else milliseconds
         stated = replace(stated, rate_hz=round(1.0 / np.clip(np.median(np.diff(clock, prepend=-1.0)), 1e-3, 1.0)))
+    if stated.scan_mode == ScanMode.PLAIN and (most := numbers.max()) and not RANGES[0] <= most <= RANGES[1]:
+        raise FileFormatError(
+            f"{source}: its largest number is {most:.3g}, the largest must be {RANGES[0]:g} to {RANGES[1]:.0e}: take "
+            "another unit, here and in training, such as mS for S."
+        )
     info, n = ranged(stated, numbers), len(numbers)
     counts, is_bound = counted(info, numbers)
     device_us = (np.rint(1e6 * clock).astype(np.int64) % 2**32).astype(np.uint32)

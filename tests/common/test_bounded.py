@@ -192,7 +192,7 @@ def test_pillars_that_nobody_can_cast_or_mesh_are_refused(width_mm):
 
 def test_a_scheduler_that_says_nothing_is_waited_for_as_long_as_it_may_take(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(pools, "CONNECT_S", 0.3)
+    monkeypatch.setattr(pools, "GREETING_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with (

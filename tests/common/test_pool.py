@@ -138,13 +138,13 @@ def test_workers_of_a_scheduler_are_killed_and_a_bad_task_is_given_up(monkeypatc
     from distributed import LocalCluster
 
     monkeypatch.setattr(pools, "TRIES", 1)
-    monkeypatch.setattr(pools, "CONNECT_S", 1)
+    monkeypatch.setattr(pools, "GREETING_S", 1)
     with (
         pytest.raises(DesignError, match=r"no scheduler at tcp://127\.0\.0\.1:9"),
         open_pool(scheduler="tcp://127.0.0.1:9"),
     ):
         pass
-    monkeypatch.setattr(pools, "CONNECT_S", 15)
+    monkeypatch.setattr(pools, "GREETING_S", 15)
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,

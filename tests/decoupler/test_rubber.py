@@ -373,6 +373,10 @@ def test_rows_that_are_only_out_of_order_are_sorted(series, tmp_path):
         found = read_series(written(tmp_path / "s.csv", series.part(order)))
         assert found.notes == ("rows put in the order of time",)
         assert found.strain == pytest.approx(series.strain[:n], abs=1e-7)
+    time_s = series.time_s - series.time_s[0]
+    time_s[1] = 1e-308  # nearer to the first than any clock tells
+    found = read_series(written(tmp_path / "s.csv", replace(series, time_s=time_s)))
+    assert found.notes == ("1 rows of the same time left out",)
 
 
 REFUSED = {

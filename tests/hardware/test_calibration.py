@@ -57,6 +57,7 @@ def test_a_broken_pillar_is_not_tared(open_ohm):
         ({"gain": np.full(SHAPE, np.nan).tolist()}, "gain or a resistance at rest that is not above 0"),
         ({"electronics": {"spam": 1}}, "spam"),
         ({"serial": "x"}, "serial"),
+        ('{"version": 1' + "0" * 5000 + "}", "a number has thousands of digits"),
         *((text, "") for text in ("", "[]", '{"kind": "tripillar calibration", "version": 1}')),
     ],
 )

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from common.errors import DesignError, FileFormatError
 from hardware.boards.python_board import a_frame
 from hardware.link.frames import Frame, Info, ScanMode, Statistics, encode
-from hardware.link.lines import matrix_info
+from hardware.link.lines import LineDecoder, matrix_info
 from hardware.readout.calibration import Electronics
 from hardware.readout.crossbar import Corrector
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
@@ -336,10 +336,22 @@ def test_a_log_of_plain_numbers_is_a_recording_whose_readings_are_these(kind, tm
 
 
 def test_numbers_that_are_not_whole_are_kept_to_a_share_of_the_largest_and_counts_go_through_a_circuit(tmp_path):
-    numbers = np.random.default_rng(0).uniform(0.0, 3e5, (5, 6))
-    np.savetxt(tmp_path / "mat.log", numbers)
-    found = read_recording(tmp_path / "mat.log", matrix_info(2, 3))
-    assert found.counts / 65535 * found.info.sense_ohm == pytest.approx(numbers, abs=3e5 / 2**16)
+    """Below 1e-4 of the largest of a log, and of a board's first; what cannot be kept so is refused."""
+    share = np.random.default_rng(0).uniform(0.0, 1.0, (5, 6))
+    share[0, 0] = 1.0
+    for most in (0.1, 1.0, 5.0, 1023.0, 3e5, 1e9):
+        np.savetxt(tmp_path / "mat.log", most * share)
+        found = read_recording(tmp_path / "mat.log", matrix_info(2, 3))
+        assert found.counts / 65535 * found.info.sense_ohm == pytest.approx(most * share, abs=1e-4 * most)
+        *_, first = LineDecoder([matrix_info(1, 6)]).feed(
+            (tmp_path / "mat.log").read_bytes().partition(b"\n")[0] + b"\n"
+        )
+        assert not first.saturated or most == 1e9
+    for most in (1e-3, 1e10):
+        np.savetxt(tmp_path / "mat.log", most * share)
+        with pytest.raises(FileFormatError, match=r"its largest number is .* must be 0.1 to 1e\+09: take another unit"):
+            read_recording(tmp_path / "mat.log", matrix_info(2, 3))
+        LineDecoder([matrix_info(1, 6)]).feed((tmp_path / "mat.log").read_bytes())  # which never raises
     np.savetxt(tmp_path / "mat.log", np.full((5, 1), 341), fmt="%d")
     found = read_recording(tmp_path / "mat.log", matrix_info(1, 1, bits=10, sense_ohm=1000))
     crossbar = Electronics(switch_ohm=0.0).crossbar(found.info)

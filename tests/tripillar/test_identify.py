@@ -102,6 +102,9 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
     table = (house.folder / "pairs.csv").read_text().splitlines()
     rest, stated = table[1].split(","), table[4].split(",")
     (house.folder / "wrong.csv").write_text("\n".join([*table[:4], ",".join(stated[:13] + rest[13:])]))
+    nothing = [*stated[:6], "1e-308", *stated[7:13], *rest[13:]]
+    (house.folder / "tiny.csv").write_text("\n".join([*table[:2], ",".join(nothing)]))
+    assert "no load is large enough to be told from" in house.refusal(*IDENTIFY, "--data", "tiny.csv", *TO_MODEL)
     for words, said in (
         (("identify", "--data", "indent.nc", "-q"), "presses shapes"),
         ((*IDENTIFY, "--data", "wrong.csv"), "load 'two' changed the resistances by 0 % of what it should"),

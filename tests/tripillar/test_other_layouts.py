@@ -11,6 +11,7 @@ from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler import read_model
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, SensorDesign, Unit
+from geometry.design_file import design_to_toml
 from geometry.layout import LAYOUTS, Electrode, Layout, Pillar
 from tests.house import SMALL, House
 from tripillar.face.caller import Caller, called_by
@@ -185,3 +186,20 @@ def test_a_sensor_of_one_axis_is_judged_shown_and_trained_by_pressure_alone(tmp_
     assert np.isfinite(told[..., 2]).all()
     with called_by(Caller(say=lambda line: None)):
         assert tp.train(samples, hidden=2, response=response).component.name == "fz"
+
+
+def test_a_mat_is_identified_by_pressure_from_a_table_of_loads_with_a_reading_a_unit(tmp_path):
+    """Its decoder reads contacts without shear, and what to measure next is judged by these."""
+    house, design = House(tmp_path), SensorDesign(unit=Unit(layout=LAYOUTS["single"]), array=Array(rows=1, cols=2))
+    (tmp_path / "mat.toml").write_text(design_to_toml(design))
+    samples = simulate(layer_response(design), DatasetSettings(protocol="independent-fz", samples=6, seed=1))
+    rows = [
+        f"{n},0,0,{f[0, 0, 2]:.6f},{r[0, 0, 0]:.5f},{r[0, 1, 0]:.5f}\n{n},0,1,{f[0, 1, 2]:.6f},,\n"
+        for n, (f, r) in enumerate(zip(samples.force_n, samples.resistance_ohm, strict=True))
+    ]
+    (tmp_path / "pairs.csv").write_text("load,row,col,fz_n,r_0_0,r_0_1\n" + "".join(rows))
+    asked = ("identify", "--design", "mat.toml", "--data", "pairs.csv", "--next", "1", "-o", "m.safetensors")
+    assert house.result(*asked)["next"][0]["error_before"] < 1.0
+    found = read_model(tmp_path / "m.safetensors")
+    assert found.component.name == "fz"
+    assert found.forces(samples.resistance_ohm)[..., 0] == pytest.approx(samples.force_n[..., 2], rel=0.05)

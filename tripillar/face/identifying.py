@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from common.errors import DesignError, require_type
 from geometry.design import SensorDesign
 from geometry.design_file import read_tolerances
+from geometry.layout import untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -95,7 +96,7 @@ def identify(
     pairs : int, optional
         Number of pairs to use, from the first on; default: all.
     usual : str, optional
-        Loads that it will meet; default: of a data set its own, else contact.
+        Loads that it will meet; default: of a data set its own, else contact, of sensors without shear contact-fz.
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
     finite : Samples, Decoupler or path, optional
@@ -176,7 +177,7 @@ def identify(
             )
         return _calibrated(measured, sensor or SensorDesign(), electronics, serial, noise, path, force)
     if measured is None:
-        first = _next_loads(sensor or SensorDesign(), next_loads, have, usual or "contact", tolerances)
+        first = _next_loads(sensor or SensorDesign(), next_loads, have, usual, tolerances)
         caller.answer(lambda: {"next": [vars(one) for one in first]}, "\n".join(_proposed(first)))
         return first
     if pairs is not None:
@@ -283,18 +284,17 @@ def _identified(
     _require_size(few.force_n.shape[1:3], sensor, name)
     if next_loads:
         _possible(sensor, have)  # a list that makes no sense is refused before anything takes time
-    usual = usual or ("contact" if isinstance(pairs, stages.Pairs) else None)
     response, sensitivities = with_derivatives(sensor, tolerances)
     checked, forced = _checked_pairs(few, name, response, force)
-    loads_n = None if usual is None else _usual_loads(sensor, usual)
+    loads_n = _usual_loads(sensor, usual) if usual or isinstance(pairs, stages.Pairs) else None
     at_strain = None if finite is None else _at_strain(finite, response)
     advance = current().bars.begin("identify", total=1)
     twin = stages.identify(
-        checked, response, sensitivities, loads_n=loads_n, at_strain=at_strain,
+        checked, response, sensitivities, "fz" if untold(sensor.unit) else None, loads_n=loads_n, at_strain=at_strain,
         progress=lambda share: advance(share, f"{len(checked)} pairs"),
     )  # fmt: skip
     if next_loads:
-        proposed = _next_loads(sensor, next_loads, have, usual or "contact", tolerances, checked, twin)
+        proposed = _next_loads(sensor, next_loads, have, usual, tolerances, checked, twin)
         twin = replace(twin, next_loads=proposed)
     return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
 
@@ -365,22 +365,24 @@ def _possible(design: SensorDesign, have: str | Path | None) -> "list[stages.Kno
 
 
 def _next_loads(
-    design: SensorDesign, count: int, have: str | Path | None, usual: str, tolerances: Mapping[str, float] | None,
-    measured: "stages.Pairs | None" = None, twin: "stages.Twin | None" = None,
+    design: SensorDesign, count: int, have: str | Path | None, usual: str | None,
+    tolerances: Mapping[str, float] | None, measured: "stages.Pairs | None" = None, twin: "stages.Twin | None" = None,
 ) -> "tuple[stages.NextLoad, ...]":  # fmt: skip
     """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
     possible, usual_n = _possible(design, have), _usual_loads(design, usual)
-    if twin is not None and twin.decoder.component.name == "all":
+    named = "fz" if untold(design.unit) else "all"
+    if twin is not None and twin.decoder.component.name == named:
         expected, state = twin.posterior.expected, twin.posterior.state
     else:
         response, sensitivities = with_derivatives(design, tolerances)
-        expected = stages.Expectation.of(response, sensitivities, stages.component_named("all"))
+        expected = stages.Expectation.of(response, sensitivities, stages.component_named(named))
         state = expected.mean()
     return stages.next_loads(expected, state, measured, possible, usual_n, count)
 
 
-def _usual_loads(design: SensorDesign, protocol: str) -> "FloatArray":
-    """Random loads of a protocol that suit the design, (n, rows, cols, 3) [N]."""
+def _usual_loads(design: SensorDesign, protocol: str | None) -> "FloatArray":
+    """Random loads of a protocol that suit the design, (n, rows, cols, 3) [N]; of none those of contacts."""
+    protocol = protocol or ("contact-fz" if untold(design.unit) else "contact")
     if protocol not in stages.PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(stages.PROTOCOLS)}.")
     loads = stages.loads_of(stages.respond(design, current().bars)[1])
