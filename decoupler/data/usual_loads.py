@@ -13,7 +13,7 @@ SPREAD = 0.5  #: standard deviation of the logarithm of a load's size, if only o
 
 LIGHT = 0.1  #: number of light loads, over that of the samples
 TOUCH = 0.05  #: force of a light touch, over the largest force
-ENOUGH = 100  #: loads that say more of the usual ones than a protocol like them
+ENOUGH_LOADS = 100  #: loads that say more of the usual ones than a protocol like them
 ALIKE = (0.3, 1.5)  #: range of the mean squared distance of loads from a protocol's; 0.5 to 1.2 if drawn from it
 RIDGE = 1e-3  #: of the covariance of a protocol's loads, over its mean variance
 
@@ -35,7 +35,7 @@ def loads_like(
     distance, over its degrees of freedom, is in `ALIKE`. Few loads say little of how all pads are loaded together, and
     a protocol says it all.
     """
-    if len(force_n) >= ENOUGH:
+    if len(force_n) >= ENOUGH_LOADS:
         return None
     found, best = None, -np.inf
     given = force_n[..., axes].reshape(len(force_n), -1)

@@ -17,7 +17,7 @@ from geometry.layout import FloatArray
 
 Precision = Literal["float", "double"]
 USUAL: dict[str, Precision] = {".onnx": "double", ".h": "float"}  #: precision by suffix
-SAMPLES = 64  #: scans that are decoded in the precision of the file
+N_SCANS = 64  #: scans that are decoded in the precision of the file
 MAX_DEVIATION = 1e-4  #: largest difference that rounding may make, over full scale; 5.1e-6 on the paper's array
 _TYPES: dict[str, type[np.floating]] = {"float": np.float32, "double": np.float64}
 
@@ -48,7 +48,7 @@ def export_model(decoupler: Decoupler, path: Path, precision: Precision | None =
     precision = USUAL[path.suffix] if precision is None else precision
     if precision not in get_args(Precision):
         raise DesignError(f"precision={precision!r} is unknown; choose one of {', '.join(get_args(Precision))}.")
-    scans = likely_resistances(decoupler, SAMPLES)
+    scans = likely_resistances(decoupler, N_SCANS)
     graph = traced(decoupler, scans.astype(_TYPES[precision]))
     expected = decoupler.outputs(decoupler.columns(scans)).reshape(graph.shape)
     deviation = float(np.abs(graph.values - expected).max() / np.abs(expected).max())

@@ -12,8 +12,8 @@ from dataset.measurement import ReadingError
 from decoupler.inverse.sensor_model import SensorModel
 from geometry.layout import FloatArray
 
-LEAST = 1e-12  #: of what lengths tell along a direction of forces, over the direction of which they tell most
-CHUNK = 64  #: samples whose derivatives are in memory together
+LEAST_TOLD = 1e-12  #: of what lengths tell along a direction of forces, over the direction of which they tell most
+CHUNK_SAMPLES = 64  #: samples whose derivatives are in memory together
 
 
 def cramer_rao(
@@ -45,7 +45,7 @@ def cramer_rao(
     if not errors.is_exact:
         for part, J, covariance in _linearised(forward, force_n, errors, shape, readable):
             told = np.linalg.solve(np.linalg.cholesky(covariance), J)
-            held = LEAST * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
+            held = LEAST_TOLD * np.linalg.norm(told, axis=(1, 2), keepdims=True) * np.eye(J.shape[2])
             root = np.linalg.qr(np.concatenate([told, held], axis=1), mode="r")  # RᵀR = Jᵀ Σ⁻¹ J
             found[part] = np.sqrt((np.linalg.inv(root) ** 2).sum(axis=2))
     return found
@@ -88,8 +88,8 @@ def _linearised(
 ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
     """Chunks of samples: derivatives of the readable lengths (c, P, Q) [mm/N], covariance of their errors [mm²]."""
     floor = 1e-9 * forward.rest_mm.max()  # keeps the covariance invertible without noise
-    for start in range(0, len(force_n), CHUNK):
-        part = slice(start, start + CHUNK)
+    for start in range(0, len(force_n), CHUNK_SAMPLES):
+        part = slice(start, start + CHUNK_SAMPLES)
         lengths, J = forward.jacobian(force_n[part])
         deviation, U = forward.errors_mm2(forward.ohms(lengths**2), errors, shape)
         deviation, U = 0.5 * deviation / lengths, 0.5 * U / lengths[..., None]

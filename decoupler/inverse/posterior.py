@@ -16,13 +16,13 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES
 from geometry.layout import FloatArray
 
-STEPS = 3  #: Gauss-Newton steps; more change errors by a hundredth
+NEWTON_STEPS = 3  #: Gauss-Newton steps; more change errors by a hundredth
 DAMPING = 1e-3  #: of these, relative to the diagonal
 UNREAD = 1e12  #: factor of the variance of a pillar that is not read
 FREEDOM = 4.0  #: degrees of freedom of the readings' errors (Student's t): the maps' have wide tails
 INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)  #: of a reading about its mean, over that of a normal one
-CHUNK = 32  #: samples whose derivatives are in memory together
-LEAST = 1e-2  #: variance of loads along any direction, over their mean variance
+CHUNK_SAMPLES = 32  #: samples whose derivatives are in memory together
+LEAST_VARIANCE = 1e-2  #: variance of loads along any direction, over their mean variance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class Posterior:
         xp, (m, Q) = namespace(self.loads_n), self.loads_n.shape
         loads_n = self.loads_n.reshape(-1).reshape(m, Q)  # in C's order, since products round by it
         covariance = xp.cov(loads_n.T)
-        usual = xp.linalg.inv(covariance + LEAST * xp.trace(covariance) / Q * eye(Q, covariance))
+        usual = xp.linalg.inv(covariance + LEAST_VARIANCE * xp.trace(covariance) / Q * eye(Q, covariance))
         precision = self.precision + usual
         to_mean, shift = (xp.linalg.solve(precision, each) for each in (self.precision, usual @ loads_n.mean(axis=0)))
         return to_mean.T.reshape(-1).reshape(Q, Q), shift, precision
@@ -77,15 +77,16 @@ class Posterior:
 
         Notes
         -----
-        Over states G, with y(G) and F(G) as `SensorModel.at_states` has them, `STEPS` steps of Gauss and Newton lower
+        Over states G, with y(G) and F(G) as `SensorModel.at_states` has them, `NEWTON_STEPS` of Gauss and Newton lower
         Σ (ν + 1) ln(1 + r²/ν) + (m − F(G))ᵀ P (m − F(G)), each with the weights that the last one left, where m and P
         are the prior's mean and precision, and r the residuals y − y(G) made independent and of variance 1 by the
         covariance of readings, maps and specimen together. More steps gain nothing: readings that several states
         explain lead some of them far from the first answer. A sample gives the same bits alone and in any batch.
         """
         unsure_n = first_n[:, :, None][..., :0] if unsure_n is None else unsure_n
-        given, starts = (resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n), range(0, len(first_n), CHUNK)
-        parts = [self._found(read, *(values[start : start + CHUNK] for values in given)) for start in starts]
+        given = resistance_ohm, first_n, deviation_ohm, shared_ohm, unsure_n
+        starts = range(0, len(first_n), CHUNK_SAMPLES)
+        parts = [self._found(read, *(values[start : start + CHUNK_SAMPLES] for values in given)) for start in starts]
         force_n, covariance_n2 = (namespace(first_n).concat(each) for each in zip(*parts, strict=True))
         return force_n, covariance_n2
 
@@ -107,7 +108,7 @@ class Posterior:
             factors = factors / size
             whiten = xp.linalg.inv(xp.linalg.cholesky(factors @ factors.swapaxes(1, 2) + eye(len(c), first_n)))
         y = self.forward.squares_of(resistance_ohm)
-        for ahead in range(STEPS, -1, -1):
+        for ahead in range(NEWTON_STEPS, -1, -1):
             modelled, by_state, force_n, by_force = self.forward.at_states(state)
             residuals = xp.concat([(y - modelled)[..., None], by_state], axis=2) / size
             if shares:

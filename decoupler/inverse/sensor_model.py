@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
 
 MAX_STEPS = 8  #: corrections; each divides the error by two to five and costs a sixth of a scan's time
-ENOUGH = 8e-4  #: error under load, over the forces' spread, at which corrections end
+ENOUGH_UNDER_LOAD = 8e-4  #: error under load, over the forces' spread, at which corrections end
 ENOUGH_AT_REST = 1e-4  #: the same with nothing on the sensor, both must be reached; under load, too, with `read`
 GAIN_SPREAD = 0.2  #: standard deviation of gains before anything is measured
 OFFSET_SPREAD = 0.05  #: the same of offsets, as a share of a pillar's resistance
 MIN_UNSURE = 5e-5  #: smallest relative error that a modelled length is trusted to
-LOADS = 4000  #: number of usual loads that the corrections are fitted to
+N_LOADS = 4000  #: number of usual loads that the corrections are fitted to
 LIGHTER = 0.03  #: weight of as many lighter loads
 SCATTER = 0.02  #: noise added to each force, over the forces' spread: for single touches, which training loads lack
 GAINED = 0.95  #: ratio of errors before and after a correction, above which lengths with errors tell no more
-CHUNK = 64  #: states whose derivatives by finite strain are in memory together
+CHUNK_STATES = 64  #: states whose derivatives by finite strain are in memory together
 HELD = 1e-3  #: ridge that holds corrections to the tangent, of the mean energy of what the lengths miss
 
 
@@ -197,8 +197,8 @@ class PredictedReadings:
     @cached_property
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Derivatives of the squares (n, P, Q) [mm²/N] and of the forces (n, Q, Q) by the state."""
-        starts = range(0, len(self.state_n), CHUNK)
-        parts = [self.sensor.at_states(self.state_n[start : start + CHUNK])[1::2] for start in starts]
+        starts = range(0, len(self.state_n), CHUNK_STATES)
+        parts = [self.sensor.at_states(self.state_n[start : start + CHUNK_STATES])[1::2] for start in starts]
         by_state, by_force = (namespace(self.state_n).concat(each) for each in zip(*parts, strict=True))
         return by_state, by_force
 
@@ -250,7 +250,7 @@ class ModelInverse:
         tangent = _tangent(forward, centre, force_n, readable, unsure_mm, exact=read is None)
         usual_n = _enough_loads(force_n)
         loads_n, weight = _lighter_too(usual_n, unsure_mm, tangent)
-        spread_n, enough = np.std(usual_n - centre), ENOUGH if read is None else ENOUGH_AT_REST
+        spread_n, enough = np.std(usual_n - centre), ENOUGH_UNDER_LOAD if read is None else ENOUGH_AT_REST
         lengths = (read or forward.lengths)(loads_n)
         lengths[-1:] = forward.lengths(loads_n[-1:])
         found = np.broadcast_to(centre, loads_n.shape)
@@ -302,11 +302,11 @@ def _by_component(values: FloatArray, pillars: list[int]) -> FloatArray:
 
 
 def _enough_loads(force_n: FloatArray) -> FloatArray:
-    """`LOADS` loads [N]: some of these (n, n_forces), or all and mixtures of pairs, whose lengths cost nothing."""
-    if len(force_n) >= LOADS:
-        return force_n[np.linspace(0, len(force_n) - 1, LOADS).astype(int)]
+    """`N_LOADS` loads [N]: some of these (n, n_forces), or all and mixtures of pairs, whose lengths cost nothing."""
+    if len(force_n) >= N_LOADS:
+        return force_n[np.linspace(0, len(force_n) - 1, N_LOADS).astype(int)]
     generator = np.random.default_rng(0)
-    n = LOADS - len(force_n)
+    n = N_LOADS - len(force_n)
     one, other = force_n[generator.integers(len(force_n), size=(2, n))]
     return np.concatenate([force_n, one + generator.uniform(0.0, 1.0, (n, 1)) * (other - one)])
 

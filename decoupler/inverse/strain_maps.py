@@ -23,45 +23,46 @@ CONVERGED = 1e-10  #: relative to the largest force
 DAMPING = 1e-3, 1e3  #: the first one, where derivatives are of the order of 1, and that at which a sample has ended
 BEYOND = 10.0  #: misfit of the samples at finite strain over which forces are beyond them
 N_AXES = 3  #: forces of a pad
-CHUNK = 64  #: samples whose derivatives are in memory together
-OWN = 9  #: of a pad: its three states, and the linear displacements of its first and its last electrode
-_PAIRS = np.triu_indices(OWN)  #: numbers of each two of them
+CHUNK_SAMPLES = 64  #: samples whose derivatives are in memory together
+N_OWN = 9  #: of a pad: its three states, and the linear displacements of its first and its last electrode
+_PAIRS = np.triu_indices(N_OWN)  #: numbers of each two of them
 N_PAIRS = len(_PAIRS[0])
 #: pairs of the pressing force and of the displacements that it causes: these bend what neighbours do
 _PRESSING = np.flatnonzero(np.isin(_PAIRS[0], [2, 3, 4, 5, 8]) & np.isin(_PAIRS[1], [2, 3, 4, 5, 8]))
 _SIDES = np.array([1, 3, 4, 6])  #: neighbours that share a side
 _FOURS = np.triu_indices(N_PAIRS)  #: numbers of each two pairs
-_PAIR_OF, _FOUR_OF = np.empty((OWN, OWN), dtype=int), np.empty((N_PAIRS, N_PAIRS), dtype=int)  #: and of those by two
+_PAIR_OF = np.empty((N_OWN, N_OWN), dtype=int)  #: and of those by two
+_FOUR_OF = np.empty((N_PAIRS, N_PAIRS), dtype=int)
 for _numbers, _two in ((_PAIR_OF, _PAIRS), (_FOUR_OF, _FOURS)):
     _numbers[_two] = _numbers.T[_two] = np.arange(len(_two[0]))
 #: numbers of what o is multiplied by, of what pressing pairs are, and of neighbours' pairs
-WITH_OWN, _WITH_PRESSING, _ALONE = 9 * OWN + 5 * N_PAIRS, 8 * OWN, 8 * N_PAIRS
-_ENDS = np.cumsum([OWN * WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE, len(_FOURS[0])])
+WITH_OWN, _WITH_PRESSING, _ALONE = 9 * N_OWN + 5 * N_PAIRS, 8 * N_OWN, 8 * N_PAIRS
+_ENDS = np.cumsum([N_OWN * WITH_OWN, len(_PRESSING) * _WITH_PRESSING, _ALONE, len(_FOURS[0])])
 N_CURVED = int(_ENDS[-1])  #: features of the second to the fourth order
-N_FEATURES = N_CURVED + 1 + 9 * OWN  #: with 1, o and neighbours' o, which one specimen has beside its design
+N_FEATURES = N_CURVED + 1 + 9 * N_OWN  #: with 1, o and neighbours' o, which one specimen has beside its design
 #: prior sizes of the features' shares in χ and ρ, by orders and neighbours (maximum likelihood, in the mean of both)
 SCALES = np.concatenate(
     [
-        np.tile(np.repeat([2.4, 0.18, 0.7, 0.09], [OWN, 8 * OWN, N_PAIRS, 4 * N_PAIRS]), OWN),
+        np.tile(np.repeat([2.4, 0.18, 0.7, 0.09], [N_OWN, 8 * N_OWN, N_PAIRS, 4 * N_PAIRS]), N_OWN),
         np.repeat([0.11, 0.29, 0.1], np.diff(_ENDS)),
     ]
 )
 
 #: products of three, each once: numbers of the first and of the pair of the others
-_TRIPLES = np.array([(i, n) for i in range(OWN) for n in range(N_PAIRS) if _PAIRS[0][n] >= i]).T
+_TRIPLES = np.array([(i, n) for i in range(N_OWN) for n in range(N_PAIRS) if _PAIRS[0][n] >= i]).T
 #: features that tell specimens apart: of the first order, and products of a pad's own o alone
 FEW = np.concatenate(
     [
         np.arange(N_CURVED, N_FEATURES),
         _PAIRS[0] * WITH_OWN + _PAIRS[1],
-        _TRIPLES[0] * WITH_OWN + 9 * OWN + _TRIPLES[1],
+        _TRIPLES[0] * WITH_OWN + 9 * N_OWN + _TRIPLES[1],
     ]
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StrainMaps:
-    """χ and ρ of an array of k units, each a sum of products of o, the `OWN` numbers of a pad and of its neighbours.
+    """χ and ρ of an array of k units, each a sum of products of o, the `N_OWN` numbers of a pad and of its neighbours.
 
     For a design all products are of the second to the fourth order, so that at rest and under light loads the array is
     linear. A pad has m values: three forces [N], and a squared length [mm²] for each pillar of its unit.
@@ -86,7 +87,7 @@ class StrainMaps:
         with_own, with_pressing, alone, with_pairs, first = self._maps
         z = _with_own(o, around, pairs, pairs_around)
         found = rowwise(pairs_around.reshape(n * k, -1), alone).reshape(n, k, -1)
-        found += first[0] + rowwise(z[..., : 9 * OWN].reshape(n * k, -1), first[1:]).reshape(found.shape)
+        found += first[0] + rowwise(z[..., : 9 * N_OWN].reshape(n * k, -1), first[1:]).reshape(found.shape)
         pressing = pairs[..., _PRESSING]
         products = (o, z, with_own), (pressing, around, with_pressing), (0.5 * pairs, pairs, with_pairs)
         for factor, values, matrix in products:
@@ -125,7 +126,7 @@ class StrainMaps:
         (n, k, _), pairs = o.shape, o[..., _PAIRS[0]] * o[..., _PAIRS[1]]
         both = xp.concat([o, pairs], axis=2)
         near = xp.concat([both, xp.zeros_like(both[:, :1])], axis=1)[:, self.near]
-        return o, near[..., :OWN].reshape(n, k, -1), pairs, near[..., OWN:].reshape(n, k, -1)
+        return o, near[..., :N_OWN].reshape(n, k, -1), pairs, near[..., N_OWN:].reshape(n, k, -1)
 
     def slopes(self, state_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """χ and ρ (n, k, m) and their derivatives by the state, (n, k, m, 3 k)."""
@@ -135,21 +136,21 @@ class StrainMaps:
         m = self.weights.shape[1]
         z = _with_own(o, around, pairs, pairs_around)
         pressing = pairs[..., _PRESSING]
-        by_factor = (z @ with_own).reshape(n, k, OWN, m)
+        by_factor = (z @ with_own).reshape(n, k, N_OWN, m)
         by_pressing = (around @ with_pressing).reshape(n, k, -1, m)
         values = (o[..., None] * by_factor).sum(axis=2) + (pressing[..., None] * by_pressing).sum(axis=2)
-        values += pairs_around @ alone + first[0] + z[..., : 9 * OWN] @ first[1:]
+        values += pairs_around @ alone + first[0] + z[..., : 9 * N_OWN] @ first[1:]
         by_pairs = (pairs @ with_pairs).reshape(n, k, N_PAIRS, m).swapaxes(2, 3)
         values += 0.5 * (by_pairs @ pairs[..., None])[..., 0]
         by_z = (o @ self._of_own).reshape(n, k, m, -1)
-        by_pairs = by_pairs + by_z[..., 9 * OWN : 9 * OWN + N_PAIRS]
+        by_pairs = by_pairs + by_z[..., 9 * N_OWN : 9 * N_OWN + N_PAIRS]
         by_pairs[..., _PRESSING] += by_pressing.swapaxes(2, 3)
-        by_own = by_factor.swapaxes(2, 3) + by_z[..., :OWN] + _by_o(by_pairs, o[:, :, None])
-        near = around.reshape(n, k, 8, OWN)
+        by_own = by_factor.swapaxes(2, 3) + by_z[..., :N_OWN] + _by_o(by_pairs, o[:, :, None])
+        near = around.reshape(n, k, 8, N_OWN)
         by_alone = self._by_alone @ near[..., None]
-        by_around = by_z[..., OWN : 9 * OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
-        by_around = by_around.reshape(n, k, m, 8, OWN) + by_alone.reshape(n, k, 8, m, OWN).swapaxes(2, 3)
-        beside = by_z[..., 9 * OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS)
+        by_around = by_z[..., N_OWN : 9 * N_OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
+        by_around = by_around.reshape(n, k, m, 8, N_OWN) + by_alone.reshape(n, k, 8, m, N_OWN).swapaxes(2, 3)
+        beside = by_z[..., 9 * N_OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS)
         by_around[..., _SIDES, :] += _by_o(beside, near[:, :, None, _SIDES])
         by_o = namespace(o).concat([by_own, by_around.reshape(n, k, m, -1)], axis=3) + first[1:].T  # (n, k, m, 81)
         return values, by_o @ self._by_force
@@ -170,7 +171,10 @@ class StrainMaps:
 
     def nearest_states(self, force_n: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """The same without a refusal: states (n, 3 k) [N], and where there are some, (n,)."""
-        parts = [self._solved(force_n[start : start + CHUNK]) for start in range(0, max(len(force_n), 1), CHUNK)]
+        parts = [
+            self._solved(force_n[start : start + CHUNK_SAMPLES])
+            for start in range(0, max(len(force_n), 1), CHUNK_SAMPLES)
+        ]
         states, there_are = (np.concatenate(part) for part in zip(*parts, strict=True))
         return states, there_are
 
@@ -220,12 +224,12 @@ class StrainMaps:
     def _by_alone(self) -> FloatArray:
         """From a neighbour's o to the derivatives of what its pairs add, by it, (8, 9 m, 9)."""
         by_pairs = self._by_kind[2].reshape(8, N_PAIRS, -1).swapaxes(1, 2)
-        return _doubled(by_pairs, _PAIR_OF).reshape(8, -1, OWN)
+        return _doubled(by_pairs, _PAIR_OF).reshape(8, -1, N_OWN)
 
     @cached_property
     def _of_own(self) -> FloatArray:
         """From o to the derivatives by z, (9, m · 306)."""
-        return self._by_kind[0].reshape(OWN, WITH_OWN, -1).swapaxes(1, 2).reshape(OWN, -1)
+        return self._by_kind[0].reshape(N_OWN, WITH_OWN, -1).swapaxes(1, 2).reshape(N_OWN, -1)
 
     @cached_property
     def _of_pressing(self) -> FloatArray:
@@ -239,7 +243,7 @@ class StrainMaps:
         xp, k = namespace(self.influence), len(self.near)
         own = self.own(eye(N_AXES * k, self.influence))
         by_state = xp.concat([own, xp.zeros_like(own[:, :1])], axis=1)[:, np.column_stack([np.arange(k), self.near])]
-        return by_state.reshape(N_AXES * k, k, -1).swapaxes(0, 1).swapaxes(1, 2).reshape(-1).reshape(k, 9 * OWN, -1)
+        return by_state.reshape(N_AXES * k, k, -1).swapaxes(0, 1).swapaxes(1, 2).reshape(-1).reshape(k, 9 * N_OWN, -1)
 
 
 def _doubled(values: FloatArray, numbers: NDArray[np.int64]) -> FloatArray:

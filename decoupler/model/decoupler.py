@@ -27,7 +27,7 @@ from decoupler.model.usual import LoadTest, UsualLoads
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
-CHUNK = 512  #: samples worked on together, a thread each
+CHUNK_SAMPLES = 512  #: samples worked on together, a thread each
 DERIVATIVES = 16  #: samples whose derivatives are worked on together: they stay in the cache of a core
 ALIKE = 0.01  #: relative difference of a resistance at rest below which a pillar is as designed
 
@@ -88,14 +88,14 @@ class Decoupler(Decoder):
         outputs = np.empty((n, len(self.output_scaling.centre)))
 
         def fill(start: int) -> None:
-            chunk = columns[start : start + CHUNK]
-            outputs[start : start + CHUNK] = self.outputs(in_blocks(chunk))[: len(chunk)]
+            chunk = columns[start : start + CHUNK_SAMPLES]
+            outputs[start : start + CHUNK_SAMPLES] = self.outputs(in_blocks(chunk))[: len(chunk)]
 
-        if 0 < n <= CHUNK:
+        if 0 < n <= CHUNK_SAMPLES:
             fill(0)  # a live scan starts no threads
         else:
             with ThreadPoolExecutor(os.cpu_count()) as pool:
-                list(pool.map(fill, range(0, n, CHUNK)))
+                list(pool.map(fill, range(0, n, CHUNK_SAMPLES)))
         return outputs.reshape(self._shape)
 
     def half_widths(self, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SPREAD = 0.1  #: standard deviation of ln R under usual loads, where too few samples tell it
 REFINED = 6  #: steps by the response towards readings that are left out; two are usual
-MOST = 0.5  #: change of the logarithm of a reading by one of them
+MOST_LOG_CHANGE = 0.5  #: change of the logarithm of a reading by one of them
 GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended
 DRAWN = 200  #: loads that say how far the response and the decoder agree
 DIFFERENCE = 1e-4  #: of the logarithm of a reading, for slopes
@@ -73,7 +73,9 @@ class LeftOut:
         def step(now: tuple[FloatArray, ...], damping: FloatArray, on: NDArray[np.intp]) -> FloatArray:
             _, m, delta = now
             by_missed, by_delta = self._steps(with_delta(delta, on), m, damping)
-            return np.clip((by_missed @ m[..., None] - by_delta @ delta[..., None])[..., 0], -MOST, MOST)
+            return np.clip(
+                (by_missed @ m[..., None] - by_delta @ delta[..., None])[..., 0], -MOST_LOG_CHANGE, MOST_LOG_CHANGE
+            )
 
         delta, _ = descended(np.zeros_like(first), at, step, REFINED, gained=GAINED)
         return with_delta(delta, np.arange(len(here)))

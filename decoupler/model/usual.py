@@ -18,7 +18,7 @@ RARE = 1e-3  #: fraction of the training loads on a pad whose shear may be beyon
 MARGIN = 0.1  #: of a range, that forces may be beyond those of the training loads
 FRICTION = 1.0  #: largest ratio of shear to pressure on a pad, if none is larger in the training loads; that of rubber
 SLIGHT = 0.01  #: over the largest shear in training, below which a pad's shear says nothing about friction
-SAMPLES = 4  #: for each pillar, from which on the covariance of their readings is trusted
+SAMPLES_PER_PILLAR = 4  #: for each pillar, from which on the covariance of their readings is trusted
 MIN_DEVIATION_N = 1e-3  #: that a force is trusted to by the test of loads
 FALSE_ALARMS = 1e-3  #: largest fraction of readings of usual loads that are beyond the limit
 FURTHER = 2.0  #: times the largest χ² of readings in training, up to which those of usual loads may come
@@ -55,7 +55,7 @@ class UsualLoads:
             friction=np.array([friction]),
             log_ohm=log_ohm.mean(axis=0),
         )
-        if len(columns_ohm) < SAMPLES * columns_ohm.shape[1]:
+        if len(columns_ohm) < SAMPLES_PER_PILLAR * columns_ohm.shape[1]:
             return found
         by_force = np.column_stack([np.ones(len(log_ohm)), data.force_n])
         root_at_rest = np.linalg.lstsq(by_force, np.sqrt(columns_ohm), rcond=None)[0][0]

@@ -31,7 +31,7 @@ SPREAD = 0.15  #: of pillars' numbers about their rubber's, relative
 UNSEEN = 0.5  #: share of contacts that a past which nobody saw may have broken
 READ_S = 0.039  #: between times at which laws are followed: between them, strain goes by ln R's slope
 JUDGE_S = 0.1  #: between times at which rest and deviations are judged
-LEAST = 0.003  #: deviation of a strain, at least
+LEAST_STRAIN = 0.003  #: deviation of a strain, at least
 PRESSED = 0.06  #: deviation of strains of a sensor that is not at rest
 AT_REST = 0.3  #: how often a sensor is at rest
 WEIGHT = 0.1  #: of each pillar's word whether all rest: they are not independent
@@ -133,7 +133,7 @@ class SensorFollower:
         self._unseen = self._unseen * np.exp(-seconds / self._law.tau_s[:, :1])
         rest, variance = self._rested(strain, seconds)
         self._rest, strain = rest, strain - strain * rest
-        variance[-1] = self._path**2 + ((strain[:-1] - strain[-1]) ** 2).max(axis=0) + LEAST**2
+        variance[-1] = self._path**2 + ((strain[:-1] - strain[-1]) ** 2).max(axis=0) + LEAST_STRAIN**2
         mean = self.belief @ strain if self.is_tested else np.expm1(0.5 * y)
         self._deviation = np.sqrt(self.belief @ (variance + (strain - mean) ** 2))
 
@@ -141,7 +141,7 @@ class SensorFollower:
         """Beliefs (k, n) that pillars rest, as all may together, and variances of their strains by each law."""
         law, broken = self._law, self._law.broken**2
         variance = self._of_broken * broken + self._of_unseen * self._unseen**2
-        own = (variance[0] + variance[1] + SLOW**2) / law.slopes**2 + LEAST**2
+        own = (variance[0] + variance[1] + SLOW**2) / law.slopes**2 + LEAST_STRAIN**2
         quiet, square = law.still_s > RESTING_S, 0.5 * strain**2
         least = own.max(axis=0)  # one deviation for all laws, or the one that promises most would win
         self._resting = np.clip(_all_rest(_word(least, square), quiet)[:, 0], 0.0, MOST_BY_REST)

@@ -23,7 +23,7 @@ LINEAR_PRIOR = np.array([[1.5, 2.0], [-5.0, 5.0], [0.25, 0.2], [0.25, 0.2]])
 #: of the logarithms of b_lengthen, of b_shorten over it, and of both times
 OTHER_PRIOR = np.log([[1.5, 2.5], [5.7, 3.0], [9.0, 2.0], [120.0, 2.5]])
 STATE = 0.2  #: deviation of what a run begins with, if not at rest: of ln R, and of a force over its range
-LEAST = 1e-9  #: stiffness of a force that falls as strain rises [N]
+LEAST_STIFFNESS_N = 1e-9  #: stiffness of a force that falls as strain rises [N]
 ANY = 30.0  #: deviation of ln R₀, and of a force over its range: nothing is known
 TIMES = ((1.0, 1.0), (0.35, 0.3), (1.5, 3.0))  #: that both times begin with, over the prior's
 RELAXING = np.log([[0.05, 4.0], [0.05, 4.0], [1.0, 3.0], [60.0, 4.0]])  #: prior of shares and times of relaxation
@@ -113,7 +113,8 @@ def fit_elastic(series: Series) -> tuple[Elastic, float]:
     stiffness, *more = fit.numbers[:n] * size
     shares, times = np.exp(fit.numbers[-4:]).reshape(2, 2)
     elastic = Elastic(
-        model=model, stiffness_n=max(float(stiffness), LEAST), stiffening=float(more[0] / stiffness) if more else 0.0,
+        model=model, stiffness_n=max(float(stiffness), LEAST_STIFFNESS_N),
+        stiffening=float(more[0] / stiffness) if more else 0.0,
         second=LAWS[model][0][1], prony=Prony(share=tuple(shares), tau_s=tuple(times)),
     )  # fmt: skip
     return elastic, fit.noise * size

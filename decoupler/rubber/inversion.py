@@ -22,7 +22,7 @@ CLOSE = 0.01  #: strain below which a pillar can be loaded either way; one that 
 MIN_SLOPE = 0.7  #: of ln R by strain that is divided by
 STEEPEST, LARGEST = 0.1, 0.05  #: strains of Newton's first step, and of the others
 ROUNDS, NEAR = 3, 5e-4  #: of Newton's steps, and what of ln R may be left
-LEAST = 1e-4  #: change of strain that is a motion
+LEAST_STRAIN = 1e-4  #: change of strain that is a motion
 BOUNDS = (-0.6, 0.7)  #: strains that are looked for
 
 
@@ -121,7 +121,7 @@ class LawInverse:
             broken = self._after(strain, seconds)
             left = y - self._unbroken(strain) - self._risen(broken)
         change = strain - before
-        moved = np.abs(change) > LEAST
+        moved = np.abs(change) > LEAST_STRAIN
         self.still_s = (self.still_s + seconds) * ~moved
         self._way = np.where(moved, np.sign(change), self._way)
         self.settle(strain, broken)

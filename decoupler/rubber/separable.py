@@ -16,7 +16,7 @@ CORRELATION_S = 1.0  #: over which errors are taken as alike; chosen by parts of
 TAILS = 2.0  #: degrees of freedom of Student's distribution
 UNCORRELATED = 0.05  #: correlation that ends the sum of correlations
 ROUNDS = 8  #: of weights and variances
-LEAST = 1e-6  #: deviation of errors, relative to the target's: arithmetic has them
+LEAST_DEVIATION = 1e-6  #: deviation of errors, relative to the target's: arithmetic has them
 STEP = 1e-4  #: of differences for slopes, and the last one of a search
 TOLERANCE = 1e-6  #: of a sum of squares
 
@@ -85,7 +85,7 @@ class _Problem:
             before = self.others
             answer = least_squares(lambda others: self.linear(others)[2], before, **settings)
             error = self.error(answer.fun)
-            self.variance, self.weight = _of_tails(error, LEAST * float(np.std(self.target)))
+            self.variance, self.weight = _of_tails(error, LEAST_DEVIATION * float(np.std(self.target)))
             self.others, self.inflation = answer.x, max(1.0, inflation(error * self.weight))
             self.cost = 2 * answer.cost  # −2 ln of the posterior's density, but for a constant
             if np.abs(self.others - before).max() < 10 * STEP:
@@ -107,7 +107,7 @@ class _Problem:
         error = self.error(residual)
         u = error**2 / self.variance  # of Student's score ψ = w u^½: its slope, and its square
         slope, square = np.mean((TAILS + 1) * (TAILS - u) / (TAILS + u) ** 2), np.mean(self.weight**4 * u)
-        told = max(float(slope), LEAST) * J.T @ J / worth
+        told = max(float(slope), LEAST_DEVIATION) * J.T @ J / worth
         count = len(error) / self.inflation
         used_up = count / max(count - float(np.trace(np.linalg.solve(told + P, told))), 1.0)  # by the numbers found
         H = np.linalg.inv(told / used_up + P)

@@ -24,7 +24,7 @@ from geometry.layout import FloatArray
 
 VERSION = 4  #: raise when the same design gives another library
 PRESSES = 5000  #: that are solved
-OWN = 500  #: of each shape that is one's own
+OWN_PRESSES = 500  #: of each shape that is one's own
 CELLS = 18  #: of a press's grid along its longer side
 SEED = 6
 SHIFTS = 8  #: places more of a press that has room on the slab
@@ -63,7 +63,7 @@ def touch_library(
     progress : function
         Called with the number of presses that were solved since.
     shapes : sequence of Solid
-        One's own, by `read_solid`, each pressed `OWN` times as well.
+        One's own, by `read_solid`, each pressed `OWN_PRESSES` times as well.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def _solved(
             return None
 
     tasks = [(0, number) for number in range(presses)]
-    tasks += [(1 + k, number) for k in range(len(shapes)) for number in range(OWN)]
+    tasks += [(1 + k, number) for k in range(len(shapes)) for number in range(OWN_PRESSES)]
     with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
         for field in pool.map(solve, tasks):
             progress(1)

@@ -17,7 +17,7 @@ TOUCHES, SEED = 48, 0  #: that are drawn, the same of every design
 HALF_MM, FRICTION = (1.0, 6.0), 0.5  #: half axes of a touch's ellipse, and its largest shear over its pressure
 CELLS = 12  #: along its patch
 HELD = 1e9  #: of the curvature by a number that is known
-LEAST = 1e-2  #: of a touch's force, by which its moment is divided at least where it is missed
+LEAST_FORCE_SHARE = 1e-2  #: of a touch's force, by which its moment is divided at least where it is missed
 REACH = 3.0  #: heights from a touch within which units feel it
 
 
@@ -86,7 +86,12 @@ def _through_plates(near: SensorDesign, force_n: float, errors: ReadingError) ->
         net_n = each[:, 2].sum(axis=0)
         moments = (each[:, 3:5] + arms_mm[..., None] * each[:, 2:3]).sum(axis=0)  # about the centre of pressure
         missed_n = np.hypot(net_n[0] - force_n, np.linalg.norm(net_n[1:]))
-        found.append((100 * float(missed_n) / force_n, float(np.linalg.norm(moments) / max(net_n[0], LEAST * force_n))))
+        found.append(
+            (
+                100 * float(missed_n) / force_n,
+                float(np.linalg.norm(moments) / max(net_n[0], LEAST_FORCE_SHARE * force_n)),
+            )
+        )
     return found
 
 

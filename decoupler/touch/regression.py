@@ -12,9 +12,9 @@ from geometry.layout import FloatArray
 
 NEAREST = 200
 LENGTH = 0.5  #: of the kernel, in readings brought to size 1
-LEAST = 0.05  #: size of readings below which they count as they are
+LEAST_READING = 0.05  #: size of readings below which they count as they are
 SAMPLED = 8  #: of so many rows one tells how near the nearest are, before they are sorted
-OWN = 1e-4  #: variance of a press's forces about a smooth function of its readings, of their own
+OWN_VARIANCE = 1e-4  #: variance of a press's forces about a smooth function of its readings, of their own
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,7 +29,7 @@ class Regression:
     def brought(self, reading: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Readings (..., m) brought to size 1, and their sizes (..., 1)."""
         relative = reading / self.scale_mm2
-        size = np.sqrt((relative**2).sum(axis=-1, keepdims=True) + LEAST**2)
+        size = np.sqrt((relative**2).sum(axis=-1, keepdims=True) + LEAST_READING**2)
         return relative / size, size
 
     @cached_property
@@ -58,7 +58,7 @@ class Regression:
         at, (size,) = self.brought(reading)
         X, Y = x[rows].astype(float), y[rows].astype(float)
         own = (X**2).sum(axis=1)
-        noise = OWN + float(((self.noise / self.scale_mm2 / size) ** 2).mean()) / LENGTH**2
+        noise = OWN_VARIANCE + float(((self.noise / self.scale_mm2 / size) ** 2).mean()) / LENGTH**2
         K = _matern(own[:, None] + own - X @ (2 * X.T)) + noise * np.eye(len(rows))
         near = _matern(own + at @ at - X @ (2 * at))
         mean = Y.mean(axis=0)

@@ -11,7 +11,7 @@ from decoupler.inverse.strain_maps import units_around
 from decoupler.model.network import Network, Outcome, Task
 from geometry.layout import FloatArray
 
-LEAST = 1e-12  #: slope, and change, of the mean squared error at which there is no more to gain
+LEAST_SLOPE = 1e-12  #: slope, and change, of the mean squared error at which there is no more to gain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +37,11 @@ class Convolution(Network):
         found: Any = cls(output=task.targets, kernel=learning, near=near)
         most = training.max_iterations
         optimiser: Any = torch.optim.LBFGS(
-            [kernel], max_iter=most, tolerance_grad=LEAST, tolerance_change=LEAST, line_search_fn="strong_wolfe"
+            [kernel],
+            max_iter=most,
+            tolerance_grad=LEAST_SLOPE,
+            tolerance_change=LEAST_SLOPE,
+            line_search_fn="strong_wolfe",
         )
         errors = list[float]()
 

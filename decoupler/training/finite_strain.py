@@ -33,14 +33,14 @@ ENOUGH_ROWS = 2  #: equations a feature, from which on images in a mirror are le
 TINY = 1e-100  #: instead of 0, the size of features of neighbours that no pad has
 FLIPPED = np.array([1.0, -1.0, 1.0])  #: sign of x, y and z in a mirror at y = 0
 ALIKE = 1e-9  #: largest difference of a mirrored influence, relative
-LOADS = 600  #: most loads of samples that a posterior keeps
+MOST_LOADS = 600  #: most loads of samples that a posterior keeps
 DRAWS = 27_000  #: loads that are drawn to train the network that starts; some strain the array too much
 HIDDEN = 60  #: hidden nodes of that network
 STATE_RIDGE = 1e-3  #: of the linear way from forces to states, over the number of samples
 LIGHTER = 10  #: one of so many draws is lighter
 JUDGED = 4000  #: draws that say how the network errs
 TRUST = 3.0  #: factor of the network's errors as a prior: it has seen the same readings
-CHUNK = 256  #: states worked on together
+CHUNK_STATES = 256  #: states worked on together
 ROUNDS, MIN_GROWTH = 5, 0.1  #: of fits of the misfit's growth, and its least value at rest
 
 
@@ -176,7 +176,7 @@ def posterior_of(response: "ArrayResponse", data: Samples) -> Posterior:
     force_n = data.force_n.reshape(len(data), -1)
     to_state = ridge(np.column_stack([force_n, np.ones(len(data))]), state_n, STATE_RIDGE * len(data))
     Q = force_n.shape[1]
-    return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:LOADS])
+    return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:MOST_LOADS])
 
 
 def drawn_samples(
@@ -206,7 +206,7 @@ def drawn_samples(
     states = states[strains_in(maps, states, design) <= strains_in(maps, known_n, design).max()][:ENOUGH]
     states *= np.where(np.arange(len(states)) % LIGHTER, 1.0, generator.uniform(0.0, 1.0, len(states)))[:, None]
     squares, force_n = [], []
-    for part in np.array_split(states, max(1, len(states) // CHUNK)):
+    for part in np.array_split(states, max(1, len(states) // CHUNK_STATES)):
         values = maps.values(part)
         y = forward.linear.lengths(part) ** 2 + values[..., N_AXES:].reshape(len(part), -1)
         y += np.sqrt(posterior.squares_variance(part)) * generator.standard_normal(y.shape)

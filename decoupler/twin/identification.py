@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 CONTRADICTED = 3.0  #: times what is stated for a parameter or correction, from which on pairs contradict the design
 UNFIT = 1.2  #: root mean square of the scales of the pairs' deviations, from which on they do, too
 MAX_TESTED = 200  #: pairs that are then left out in turn, spread over all
-LOADS = 3000  #: usual loads that a decoder of linear rubber is fitted to
+N_LOADS = 3000  #: usual loads that a decoder of linear rubber is fitted to
 DRAWN = 32, 128  #: sensors that are drawn from a posterior, of linear rubber and at finite strain
 MAX_UNKNOWN = 1000  #: parts of forces that are not known: more take too long to solve for
 
@@ -97,7 +97,7 @@ def identify(
     n, rows, cols, _ = pairs.force_n.shape
     design = response.design
     errors = ReadingError(noise=pairs.noise, bits=pairs.bits).with_drifts_of(design.electrics)
-    readings, most = readings_of(pairs, parts, errors), LOADS if at_strain is None else DRAWS
+    readings, most = readings_of(pairs, parts, errors), N_LOADS if at_strain is None else DRAWS
     expected = Expectation.of(response, sensitivities, parts)
     if (expected.n_pillars, expected.n_forces) != (readings.resistance_ohm.shape[1], readings.force_n.shape[1]):
         size = f"{rows} × {cols} units with pillars {', '.join(pairs.layout.pillar_names)}"

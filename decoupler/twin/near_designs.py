@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
     from fem.array.sensitivities import ResponseSensitivities
 
-LOADS = 40  #: that other designs are solved under
+N_LOADS = 40  #: that other designs are solved under
 RIDGE = 3e-4  #: of the changes, per row, of features of root mean square 1
 YOUNG = ("rubber.young_mpa", "matrix_material.young_mpa")  #: the modulus that forces are in proportion to
 
@@ -32,7 +32,7 @@ class NearDesigns:
     """
 
     def __init__(self, designed: Posterior, response: "ArrayResponse", sensitivities: "ResponseSensitivities") -> None:
-        maps, force_n = designed.forward.maps, designed.loads_n[:LOADS]
+        maps, force_n = designed.forward.maps, designed.loads_n[:N_LOADS]
         assert maps is not None
         self._forward, self._maps, self._sensitivities = designed.forward, maps, sensitivities
         self._design, self._shape = response.design, (len(force_n), len(maps.near), -1)

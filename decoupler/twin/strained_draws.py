@@ -11,7 +11,7 @@ from dataset.protocols import forces
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import Draw, below_cap, origin
-from decoupler.inverse.strain_maps import CHUNK, N_AXES
+from decoupler.inverse.strain_maps import CHUNK_SAMPLES, N_AXES
 from decoupler.model.at_strain import DecouplerAtStrain
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.training.finite_strain import strains_in
@@ -64,13 +64,13 @@ class StrainedDraws:
         """
         parts = []
         with one_blas_thread():
-            for start in range(numbers.start, numbers.stop, CHUNK):
+            for start in range(numbers.start, numbers.stop, CHUNK_SAMPLES):
                 (traction, state_n), redrawn = below_cap(
-                    self._draw(settings, start), CHUNK, MAX_DRAWS, settings, self._design
+                    self._draw(settings, start), CHUNK_SAMPLES, MAX_DRAWS, settings, self._design
                 )
                 generator = np.random.default_rng([settings.seed, start, _SCATTER])
                 parts.append((traction, self._readings(state_n, start, generator), redrawn))
-                progress(min(CHUNK, numbers.stop - start))
+                progress(min(CHUNK_SAMPLES, numbers.stop - start))
         traction, ohms, redrawn = (np.concatenate(part)[: len(numbers)] for part in zip(*parts, strict=True))
         grid = len(numbers), self._design.array.rows, self._design.array.cols, -1
         return Samples(

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from decoupler.model.decoder import Decoder
     from decoupler.rubber.belief import SensorFilter
 
-CHUNK = 2048  #: frames worked on together
+CHUNK_FRAMES = 2048  #: frames worked on together
 Told = Callable[[int], Any]
 BYTES_A_COUNT = 48  #: of memory that the forces of a recording take, a count of its frames
 NAMED = 3  #: pillars left out that are named in a line
@@ -97,7 +97,7 @@ class Forces:
         if self.model is None:
             return None, None
         ohms = self._decoded_ohm
-        chunks = [slice(k, k + CHUNK) for k in range(0, len(ohms), CHUNK)]
+        chunks = [slice(k, k + CHUNK_FRAMES) for k in range(0, len(ohms), CHUNK_FRAMES)]
         own = [] if self.memory_deviation is None else [self.memory_deviation.reshape(ohms.shape)]
         parts = [self.model.deviations(ohms[k], self.weights, *(each[k] for each in own)) for k in chunks]
         deviation_n, covariance = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -276,8 +276,8 @@ class ForceReader:
         `progress` is told the scans of each part without its crosstalk, which takes nine tenths of the time.
         """
         parts = []
-        for k in range(0, len(counts), CHUNK):
-            parts.append(self.measured(counts[k : k + CHUNK]))
+        for k in range(0, len(counts), CHUNK_FRAMES):
+            parts.append(self.measured(counts[k : k + CHUNK_FRAMES]))
             progress(len(parts[-1][0]))
         whole = parts[0] if len(parts) == 1 else [np.concatenate(each) for each in zip(*parts, strict=True)]
         measured_ohm, saturated = whole

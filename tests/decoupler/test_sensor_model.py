@@ -13,7 +13,7 @@ from decoupler.data.columns import COMPONENTS, Columns, force_columns
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import doubt
 from decoupler.inverse.limits import cramer_rao
-from decoupler.inverse.sensor_model import ENOUGH, ModelInverse, SensorModel
+from decoupler.inverse.sensor_model import ENOUGH_UNDER_LOAD, ModelInverse, SensorModel
 from decoupler.readings import Pillars
 from decoupler.touch.sensing import Sensing
 from decoupler.training.suited import explaining, suited
@@ -175,7 +175,7 @@ def test_more_pillars_than_forces_are_inverted_and_bounded_by_all_they_tell(layo
     if layout in TELLING:
         inverse = ModelInverse.about(forward, force_n, np.ones(forward.n_pillars, dtype=bool), noise=0.0)
         missed_n = inverse.values(Columns.of(data, ALL).resistance_ohm) - force_n
-        assert np.std(missed_n) < ENOUGH * np.std(force_n)
+        assert np.std(missed_n) < ENOUGH_UNDER_LOAD * np.std(force_n)
     found = cramer_rao(forward, force_n[:2], errors, (2, 3))
     lengths, J = forward.jacobian(force_n[:2])
     ohm = forward.ohm_per_mm2 * lengths**2

@@ -187,7 +187,7 @@ def test_a_slice_of_forces_is_forces_with_all_that_is_known_of_them(pressed):
 
 def test_forces_of_a_recording_are_bounded_before_they_begin_and_told_as_they_come(monkeypatch):
     recording = parse_recording(recording_from_resistances(np.tile(REST_OHM, (10, 1, 1, 1)), INFO))
-    monkeypatch.setattr("hardware.readout.forces.CHUNK", 4)
+    monkeypatch.setattr("hardware.readout.forces.CHUNK_FRAMES", 4)
     told = []
     replay(recording, Shares(), progress=told.append)
     assert told == [4, 4, 2]

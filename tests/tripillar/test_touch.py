@@ -34,7 +34,7 @@ def house(tmp_path_factory):
     house = House(tmp_path_factory.mktemp("touch"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("decoupler.touch.library.PRESSES", PRESSES)
-        patch.setattr("decoupler.touch.library.OWN", 3)
+        patch.setattr("decoupler.touch.library.OWN_PRESSES", 3)
         made = house.result(*TRAIN, "small.toml", "-o", "touch.safetensors")
         assert PRESSES / 2 < made["presses"] <= PRESSES
         assert made["rows"] > 3 * made["presses"]

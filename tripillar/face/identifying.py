@@ -386,7 +386,7 @@ def _usual_loads(design: SensorDesign, protocol: str | None) -> "FloatArray":
     if protocol not in stages.PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(stages.PROTOCOLS)}.")
     loads = stages.loads_of(stages.respond(design, current().bars)[1])
-    return stages.usual_loads(protocol, design, stages.LOADS, loads)
+    return stages.usual_loads(protocol, design, stages.N_LOADS, loads)
 
 
 def _proposed(loads: "tuple[stages.NextLoad, ...]") -> list[str]:

@@ -362,7 +362,7 @@ def _touch_decoder(
         decoder = stages.PlateDecoder(library=plates, **of_sensor)
         result, text = {"plates": design.n_units}, f"{design.n_units} plates"
     else:
-        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN * len(shapes))
+        advance = caller.bars.begin("presses", total=stages.PRESSES + stages.OWN_PRESSES * len(shapes))
         library, _, reused = stages.touch_library(design, stages.PRESSES, lambda done: advance(done, ""), solids)
         made_from["library"] = library.cache_key
         decoder = stages.BareDecoder(library=library, **of_sensor)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from decoupler.touch.assessment import TouchAssessment, assess_touch
     from decoupler.touch.bare import BareDecoder
     from decoupler.touch.decoder import TouchDecoder
-    from decoupler.touch.library import OWN, PRESSES, touch_library
+    from decoupler.touch.library import OWN_PRESSES, PRESSES, touch_library
     from decoupler.touch.plates import PlateDecoder, plate_response
     from decoupler.touch.sensing import identified_pillars
     from decoupler.readings import Pillars
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from decoupler.training.suited import suited, without_stuck
     from decoupler.training.trainer import train
     from decoupler.twin.expectation import Expectation
-    from decoupler.twin.identification import LOADS, Twin, identify
+    from decoupler.twin.identification import N_LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
     from decoupler.twin.strained_draws import StrainedDraws
     from decoupler.twin.twin_file import TwinFile, read_twin, write_twin

@@ -34,7 +34,7 @@ from hardware.readout.wrench import OF_MOMENTS, on_all_axes
 from hardware.session import live
 from tripillar.terminal.force_view import RATE_OVER, RENEWED_S, STALE_S, contact_lines, notes_on, pace
 
-LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
+N_LOADS = 2000  #: of each protocol, that the response's inverse is fitted to
 MAX_STRAIN = 0.35  #: of a pillar under these loads: a little past the 30 % of the datasets
 
 #: forces (rows, cols, 3) [N] along x, y, z from resistances (rows, cols, P) [Ω]; NaN where unknown
@@ -101,7 +101,7 @@ def inverse_forces(response: ArrayResponse) -> Decouple:
     """The forces of the response's own inverse, where there is no trained model; pressure alone if no more is told."""
     design, told = response.design, component_named("fz" if untold(response.design.unit) else "all")
     generator, ranges = np.random.default_rng(0), loads_of(response)
-    drawn = [PROTOCOLS[name].draw(generator, LOADS, design, ranges) for name in ("contact", "three-axis")]
+    drawn = [PROTOCOLS[name].draw(generator, N_LOADS, design, ranges) for name in ("contact", "three-axis")]
     loads = np.concatenate(drawn)
     within = largest_factors(displacements(response, loads), design.unit, MAX_STRAIN)
     loads *= np.minimum(within, 1.0)[:, None, None]  # a pillar that turns over cannot be inverted
