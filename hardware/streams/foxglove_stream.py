@@ -1,5 +1,6 @@
 """Forces for Foxglove: a WebSocket server. Needs the extra ``foxglove``."""
 
+from contextlib import ExitStack
 from typing import Self
 
 from common.errors import needing
@@ -24,15 +25,16 @@ class FoxgloveStream:
             import websockets  # noqa: F401
         sensor.require_positions()
         self._sensor, self._host, self.port, self._token = sensor, host, port, token
-        self._is_first = True
+        self._open, self._is_first = ExitStack(), True
 
     def __enter__(self) -> Self:
         self._server = FoxgloveServer(schemas(), self._host, self.port, self._token, latched=SENSOR)
+        self._open.callback(self._server.close)
         self.port = self._server.port
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._server.close()
+        self._open.close()
 
     def add(self, scan: Forces) -> None:
         """Send the forces of one scan."""

@@ -161,7 +161,7 @@ class Answering(ScriptedPort):
 
 def test_the_rate_is_set_and_one_that_is_refused_leaves_the_one_that_was_wanted():
     port = Answering(HEAD, finite=False)
-    with Scanner(port, timeout=0.1) as scanner:
+    with Scanner(port, timeout=2.0) as scanner:  # so long it waits for another answer
         assert (scanner.get(0), scanner.get(0.01)) == (None, None)
         assert scanner.set_rate(200) == scanner.info == INFO
         assert scanner.set_rate(300) == replace(INFO, rate_hz=300)
@@ -170,9 +170,9 @@ def test_the_rate_is_set_and_one_that_is_refused_leaves_the_one_that_was_wanted(
         with pytest.raises(ScannerError, match="rate_hz=2000 must be a whole number from 1 to 1000"):
             scanner.set_rate(2000)
         port.add(HEAD)  # it has forgotten
-        comes_about(scanner, lambda: port.written.count(b"R300\n") == 2)
+        comes_about(scanner, lambda: port.written.count(b"R300\n") >= 2)
         port.is_mute = True
-        with pytest.raises(ScannerError, match=r"no answer within 0\.1 s"):
+        with pytest.raises(ScannerError, match="no answer within 2 s"):
             scanner.set_rate(100)
 
 

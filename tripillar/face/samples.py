@@ -91,7 +91,7 @@ def dataset(
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
     pressure_mpa : tuple of float, optional
-        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, of a design that bears most such
+        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, of a design that bears such
         loads; of others the largest that they bear, down to a fifth of it.
     shear_mpa : tuple of float, optional
         Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
