@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -32,6 +33,7 @@ Camera = Literal["iso", "top", "front", "side"]
 WIDE_PX = {1: (992, 1376), 2: (640, 880)}  #: least and most of one picture, and of each of several
 HIGH_PX = 880  #: of a picture, where its width leaves a choice
 NAME_PX, LEGEND_PX = 64, 112  #: heights of the strips above and below pictures
+NOTE = 34  #: letters of a line beside the colour bars
 MARGIN = 0.03  #: of a picture's width or height, around what it shows
 NUMBERED = 1.2  #: of a body, that it takes with numbers around it
 VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
@@ -43,7 +45,7 @@ GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
 INK = "#21292f"
 FONT = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")  #: of names, as of legends
 #: of a body's larger side: height of letters beside it, and distance of the scale bar, and of its letters from that
-LETTER, BESIDE = 0.018, 0.028
+LETTER, BESIDE = 0.02, 0.025
 #: from what is seen to the camera, and upright in the picture
 VIEWS: dict[Camera, tuple[Triple, Triple]] = {
     "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
@@ -187,7 +189,7 @@ def scale_bar(points_mm: FloatArray, camera: Camera) -> FloatArray:
     width, away = float((high - low) @ right), BESIDE * float((high - low).max()) * up
     length = float(ROUND.tick_values(0.0, width)[1])
     ends = low - away + np.array([[width - length], [width]]) * right
-    return np.vstack([ends, ends - 2 * away])
+    return np.vstack([ends, ends - 3 * away])
 
 
 def add_words(plotter: pv.Plotter, words: Mapping[str, FloatArray], height_mm: float) -> list[vtkFollower]:
@@ -290,7 +292,7 @@ class DeformedPicture:
                 self._titles[name] = text
         if not is_bare:
             self.plotter.subplot(2 * rows, 0)
-            notes, wide = [note for note in (self.note, warning) if note], self.plotter.window_size[0]
+            notes, wide = wrap(self.note, NOTE) + wrap(warning, NOTE), self.plotter.window_size[0]
             chart = pv.ChartMPL(legend(self.bars, notes, wide), redraw_on_render=False)
             chart.border_style = None
             self.plotter.add_chart(chart)

@@ -52,7 +52,7 @@ def draw(folder: Path, *, model: Annotated[Path, Parameter(help="File of `tripil
 
 def draw_shapes(decoder: TouchDecoder, surface: SurfaceCompliance) -> Image.Image:
     """Each shape pressed and dragged, above what is decoded from one scan."""
-    figure = new_figure(14, 6.1, dpi=100, layout="compressed")
+    figure = new_figure(14, 5.0, dpi=100, layout="compressed")
     columns = figure.subplots(2, len(SHAPES), sharex=True, sharey=True).T
     for k, ((name, shape, depth_mm, at_mm), pair) in enumerate(zip(SHAPES, columns, strict=True)):
         contact = press(surface, shape, depth_mm, at_mm=at_mm, slide_mm=SLIDE_MM, friction=FRICTION)
@@ -129,7 +129,7 @@ def _draw(axes: Axes, design: SensorDesign, place_mm: FloatArray, force_n: Float
     axes.quiver(x, y, sx, sy, color="#56b4e9", angles="xy", scale_units="xy", scale=MPA_PER_MM, width=0.008)
     axes.set(xlim=(-wide, wide), ylim=(-deep, deep))
     for axis, side in ((axes.xaxis, wide), (axes.yaxis, deep)):
-        axis.set_ticks(np.arange(-side, side + 1, 2 * design.array.pitch_mm))
+        axis.set_ticks([-side * 2 / 3, 0.0, side * 2 / 3])
         axis.set_ticks(np.arange(-side, side + 1, design.array.pitch_mm), minor=True)
     axes.grid(color="white", alpha=0.3, linewidth=0.5, which="both")
     axes.tick_params(length=0, which="both", labelsize=8)
