@@ -28,32 +28,27 @@ dataset: $(READY)  ## the same, up to the datasets
 	$(BIN)/tripillar run --out $(OUT) --until dataset
 
 picture: $(READY)  ## draw the pictures of the README and of docs/ again
-	$(BIN)/python -m studies.pictures.arrays docs
-	$(BIN)/python -m studies.pictures.live docs/live.svg
-	$(BIN)/python -m studies.pictures.drawings docs
-	$(BIN)/python -m studies.pictures.rubber docs
-	$(BIN)/python -m studies.paper --out $(OUT)/paper --docs docs
-	$(BIN)/python -m studies.pictures.page docs/page.png
-	$(BIN)/python -m studies.pictures.gallery docs
+	$(BIN)/python -m studies draw-arrays docs
+	$(BIN)/python -m studies draw-live docs/live.svg
+	$(BIN)/python -m studies draw-drawings docs
+	$(BIN)/python -m studies draw-rubber docs
+	$(BIN)/python -m studies paper --out $(OUT)/paper --docs docs
+	$(BIN)/python -m studies draw-page docs/page.png
+	$(BIN)/python -m studies draw-gallery docs
 
 paper: $(READY)  ## the paper's figures 6 to 11, tables 1 and 2 and spacing beside ours: out/paper/index.html
-	$(BIN)/python -m studies.paper --out $(OUT)/paper
+	$(BIN)/python -m studies paper --out $(OUT)/paper
 
 bench: $(READY)  ## run time and training time against error, beside other programs where installed
-	$(BIN)/python -m studies.bench --out $(OUT)/bench
-	$(BIN)/python -m studies.bench.gate --out $(OUT)/bench/gate.json
-	$(BIN)/python -m studies.bench.training --out $(OUT)/bench
-	$(BIN)/python -m studies.bench.virtual --out $(OUT)/bench/virtual.json
-	$(BIN)/python -m studies.bench.pressing --out $(OUT)/bench/pressing.json
-	$(BIN)/python -m studies.layouts --out $(OUT)/bench/layouts.json
-	$(BIN)/python -m studies.bench.hardware --out $(OUT)/bench/hardware.json
-	$(BIN)/python -m studies.bench.page --out $(OUT)/bench/page.json
+	for study in gate arrays training virtual pressing layouts hardware page; do \
+		$(BIN)/python -m studies $$study --out $(OUT)/bench || exit; \
+	done
 
 edge-cases: $(READY)  ## scenes at the edge of what can be solved: each right or refused, never wrong
-	$(BIN)/python -m studies.edge_cases --out $(OUT)/edge-cases
+	$(BIN)/python -m pytest -m 'long or not long' -k edge tests/fem/test_edges.py tests/fem/test_golden.py
 
 robustness: $(READY)  ## what worse sensors cost, and what measured pairs buy back
-	$(BIN)/python -m studies.robustness --out $(OUT)/robustness
+	$(BIN)/python -m studies robustness --out $(OUT)/robustness
 
 firmware:  ## the boards' firmware, ready to flash
 	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware all
@@ -61,8 +56,8 @@ firmware:  ## the boards' firmware, ready to flash
 simulator: firmware  ## the program that runs that firmware on a simulated chip
 	$(MAKE) -C hardware/firmware OUT=$(abspath $(OUT))/firmware simulator
 
-hardware-test: $(READY)  ## the tests of the board's side alone, with what they measure and why any is skipped
-	$(BIN)/python -m pytest -rs -m 'long or not long' hardware tests/hardware tests/tripillar/test_board_commands.py
+hardware-test: $(READY)  ## run those of real ports, simulated chips and a real browser, and say why any is skipped
+	$(BIN)/python -m pytest $(WORKERS) -rs -m 'real and not long'
 
 test: $(READY)  ## run the tests, a process more than there are cores, since some wait: five at most
 	$(BIN)/python -m pytest $(WORKERS)
@@ -78,7 +73,7 @@ check: $(READY)  ## what CI runs: style, types, tests
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(MAKE) test
+	$(MAKE) test hardware-test
 
 format: $(READY)  ## lay the code out
 	$(BIN)/ruff format

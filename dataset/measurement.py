@@ -5,7 +5,7 @@ the input and ground, so its reading is the fraction R_sense/(R + R_sense) of fu
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -52,6 +52,11 @@ class ReadingError(Drifts):
     @property
     def has_drift(self) -> bool:
         return any(getattr(self, spec.name) for spec in fields(Drifts))
+
+    def without_drifts(self) -> "ReadingError":
+        """What each pillar has by itself, anew in each reading."""
+        none: dict[str, Any] = {spec.name: 0.0 for spec in fields(Drifts)}
+        return replace(self, **none)
 
     def drifts_beyond(self, own: "ReadingError") -> "ReadingError":
         """The drifts alone that, beside those of readings drawn with `own`, make them these."""

@@ -1,7 +1,7 @@
 """`Samples`: forces and resistances of many samples, with what lies between, in memory and to a file."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -83,7 +83,8 @@ class AnySamples:
 
     @property
     def _own_errors(self) -> ReadingError:
-        return ReadingError(noise=self.noise, bits=self.bits).with_drifts_of(self._stated)
+        stated = {spec.name: getattr(self._stated, spec.name) for spec in fields(ReadingError)}
+        return ReadingError(**stated | {"noise": self.noise, "bits": self.bits})
 
     @property
     def _stated(self) -> Imperfections:

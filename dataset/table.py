@@ -13,6 +13,7 @@ from common.bounded import require_memory
 from common.clean import Form, form_of, read_table
 from common.errors import FileFormatError, needing
 from common.storage.files import replacing
+from dataset.imperfections import OPEN_OHM
 from dataset.samples import AnySamples
 from dataset.variables import LABELS, VARIABLES, labels_of, layout_of
 from geometry.design import MAX_UNITS
@@ -95,9 +96,9 @@ def _appending(file: IO[bytes], suffix: str) -> Iterator[Callable[[Mapping[str, 
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     """Forces (n, rows, cols, 3) [N] and resistances (n, rows, cols, n_pillars) [Ω] of a table, and its layout.
 
-    Other columns are left out, forces along an axis without columns are 0. Numbers between semicolons may have a
-    decimal comma. A file that is missing, lacks a column or holds what is no number is a `FileFormatError` that says
-    which.
+    Other columns are left out, forces along an axis without columns are 0, pillars beside a single one open. Numbers
+    between semicolons may have a decimal comma. A file that is missing, lacks a column or holds what is no number is a
+    `FileFormatError` that says which.
     """
     import pandas as pd
 
@@ -107,13 +108,16 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
     header = form.header
     places = [place for place in map(COLUMN.fullmatch, header) if place]
     units = [(int(place[1][:9]), int(place[2][:9])) for place in places]
-    layout = layout_of({place[3] for place in places if place[4] == "ohm"})
+    pillars = {place[3] for place in places if place[4] == "ohm"}
+    layout = layout_of(pillars)
     rows, cols = (max(count) + 1 for count in zip(*units, strict=True)) if units else (1, 1)
     if max(rows, cols) > MAX_UNITS:
         raise FileFormatError(f"{path}: names {rows} × {cols} units, at most {MAX_UNITS} each way: mend its header.")
     of_each = [columns_of([name], rows, cols, layout) for name in LABELS]
     axes = {f"{place[3]}_n" for place in places if place[4] == "n"} or {f"{axis}_n" for axis in AXES}
-    expected = [name for name in chain(*of_each) if name.endswith(("_ohm", *axes))]
+    alone = pillars if len(pillars) == 1 and pillars <= {*layout.pillar_names} else layout.pillar_names
+    ends = (*(f"_{pillar}_ohm" for pillar in alone), *axes)
+    expected = [name for name in chain(*of_each) if name.endswith(ends)]
     there = {name: at for at, name in enumerate(header)}
     if missing := next((name for name in expected if name not in there), ""):
         size = f" of {rows} × {cols} units" if units else ""
@@ -130,7 +134,7 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:
             table = pd.DataFrame(filled).replace("", np.nan)
         table = table.set_axis(header, axis=1)[expected].dropna(how="all")
         arrays = {
-            name: table.reindex(columns=names, fill_value=0.0).to_numpy(np.float64)
+            name: table.reindex(columns=names, fill_value=0.0 if name == "force_n" else OPEN_OHM).to_numpy(np.float64)
             for name, names in zip(LABELS, of_each, strict=True)
         }
     except (ValueError, TypeError) as error:  # of pandas, too

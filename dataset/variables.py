@@ -55,7 +55,7 @@ VARIABLES = {
     # of samples at finite strain alone
     "strain_model": Variable(
         ("sample",),
-        {"flag_values": [0.0, 1.0], "flag_meanings": "linear neo-hookean", "note": "model of the rubber"},
+        {"flag_values": [0.0, 1.0], "flag_meanings": "linear finite_strain", "note": "how it was solved"},
     ),
     "error_estimate": Variable(("sample",), {"units": "1", "note": "of the displacements, relative"}),
     "iterations": Variable(("sample",), {"units": "1", "note": "solves of the sample, one factor for all"}),

@@ -24,6 +24,7 @@ from hardware.link.lines import MATRIX, matrix_info
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
 from hardware.link.serial_ports import is_beginning
+from hardware.readout.averaging import min_scans
 from hardware.readout.calibration import SensorCalibration, read_calibration
 from hardware.readout.forces import LiveSensor
 from hardware.recording import PlaybackPort, Recorder, read_recording
@@ -183,6 +184,8 @@ def ended_by_signal() -> Iterator[Callable[[], int]]:
 def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     """Counts of the scans of some seconds from now, (n, n_crossings).
 
+    Where fewer come than the board's rate promises, to a busy computer, it goes on until they tell motion from noise.
+
     Raises
     ------
     ScannerError
@@ -190,7 +193,9 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
     """
     while scanner.get(timeout=0.0):  # what was scanned before now
         pass
-    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=1) if scan]
+    rate_hz = scanner.info.rate_hz
+    least = max(1, min(min_scans(rate_hz), int(seconds * rate_hz)))
+    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=least) if scan]
     if not taken or scanner.trouble:
         came = f"{len(taken)} scans" if taken else "no scan"
         raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")

@@ -13,10 +13,6 @@ if TYPE_CHECKING:
 # Okabe and Ito's colours, told apart by colour-blind readers too
 BLUE, ORANGE, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
 SERIES = (ORANGE, BLUE, GREEN, PURPLE, BLACK, "#e69f00", "#56b4e9", "#7a7a7a")  #: of other lines
-FAMILIES = {  #: of programs in benchmarks; ours stand out
-    "TriPillar": "#c1272d", "contrast": "#e59a6f", "closed form": "#7a7a7a", "scikit-fem": "#0081a7",
-    "NGSolve": "#3a5a40", "CalculiX": "#6a4c93",
-}  # fmt: skip
 MAX_BYTES = 300_000  #: of a picture in all its colours; those of a larger one are rounded
 STEP = 5  #: of 255 levels of a colour: nobody sees it, and a PNG is half as large
 
@@ -35,13 +31,18 @@ def finish(figure: "Figure", path: Path) -> None:
     save(figure, path)
 
 
-def save(figure: "Figure", path: Path) -> None:
-    """Write a figure as a small PNG."""
+def image_of(figure: "Figure") -> "Image":
+    """A figure as pixels."""
     from PIL import Image
 
     with BytesIO() as drawn:
         figure.savefig(drawn, format="png")
-        save_small(Image.open(drawn), path)
+        return Image.open(drawn).convert("RGB")
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure as a small PNG."""
+    save_small(image_of(figure), path)
 
 
 def save_small(image: "Image", path: Path) -> None:
@@ -52,3 +53,11 @@ def save_small(image: "Image", path: Path) -> None:
         if temporary.stat().st_size > MAX_BYTES:
             rounded = whole.point(lambda level: min(STEP * round(level / STEP), 255))
             rounded.save(temporary, "PNG", optimize=True)
+
+
+def save_screen(picture: Any, path: Path) -> None:
+    """Write what a `DeformedPicture` shows as a small PNG, and close it."""
+    from PIL import Image
+
+    save_small(Image.fromarray(picture.plotter.screenshot(return_img=True)), path)
+    picture.plotter.close()

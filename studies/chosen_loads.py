@@ -1,11 +1,14 @@
-"""``python -m studies.chosen_loads DOCS``: how the error falls with measured pairs, chosen and unchosen, as a picture.
+"""``python -m studies chosen-loads DOCS``: how the error falls with measured pairs, chosen and unchosen, as a picture.
 
 The loads are those of a kitchen, as known as they are there; the truth is the sensor as manufacturing would make it.
 """
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from cyclopts import Parameter
 
 from dataset.measurement import ReadingError
 from decoupler.data.columns import component_named, force_columns
@@ -22,12 +25,12 @@ from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 from studies.charts import BLUE, ORANGE, finish, new_figure
-from studies.program import run_alone
+from studies.tables import OUT, Row, report
 from tripillar.pipeline.manufactured import SETTINGS, SPECIMEN, TEST_SEED, as_made, measured_on
 
 PROTOCOLS = ("contact", "three-axis")
 COUNTS = {"chosen": (1, 2, 3, 5, 10), "random": (1, 2, 3, 5, 10, 20, 30)}
-TRIALS = 3
+COLOURS = {"chosen": BLUE, "random": ORANGE}
 TESTED = 60  #: samples
 EVERYTHING = component_named("all")
 
@@ -58,36 +61,35 @@ def errors_after(pairs: Pairs, expected: Expectation, resistance_ohm: FloatArray
     return np.sqrt((missed**2).mean(axis=(0, 1)) / (force_n**2).mean(axis=(0, 1, 2)))
 
 
-def curves(truth: ArrayResponse, expected: Expectation, design: SensorDesign, protocol: str) -> dict[str, FloatArray]:
-    """Mean errors, (counts, 3), after chosen and after random loads."""
+def rows_of(
+    truth: ArrayResponse, expected: Expectation, design: SensorDesign, protocol: str, trials: int
+) -> Iterator[Row]:
+    """Mean errors after chosen and after random loads, by their number."""
     test = measured_on(truth, design, protocol, TESTED, TEST_SEED)
     loads = loads_at_hand(KITCHEN, design)
     knowledge = Knowledge.before(expected, expected.mean(), ReadingError(noise=SPECIMEN.noise, bits=SPECIMEN.bits))
     usual_n = force_columns(test.force_n, EVERYTHING)
     best, _ = choose(knowledge, [as_columns(load, EVERYTHING) for load in loads], usual_n, max(COUNTS["chosen"]))
-    found: dict[str, list[FloatArray]] = {"chosen": [], "random": []}
     for way, counts in COUNTS.items():
         for count in counts:
-            trials = []
-            for seed in range(TRIALS):
+            found = []
+            for seed in range(trials):
                 order = best if way == "chosen" else np.random.default_rng(seed).permutation(len(loads))
                 pairs = measured_pairs(truth, [loads[number] for number in order[:count]], seed)
-                trials.append(errors_after(pairs, expected, test.resistance_ohm, test.force_n))
-            found[way].append(np.mean(trials, axis=0))
-            print(protocol, way, count, (100 * found[way][-1]).round(2), flush=True)
-    return {way: np.array(rows) for way, rows in found.items()}
+                found.append(errors_after(pairs, expected, test.resistance_ohm, test.force_n))
+            error = (100 * np.mean(found, axis=0)).tolist()
+            yield {"protocol": protocol, "loads": way, "pairs": count, "fx / fy / fz [%]": error}
 
 
-def draw(found: dict[str, dict[str, FloatArray]], path: Path) -> None:
+def draw(rows: Sequence[Row], path: Path) -> None:
     """Write the picture of the curves of each protocol."""
     figure = new_figure(8.0, 3.4)
-    for place, (protocol, ways) in enumerate(found.items()):
-        axes = figure.add_subplot(1, len(found), place + 1)
-        for way, colour in (("chosen", BLUE), ("random", ORANGE)):
-            axes.loglog(COUNTS[way], 100 * np.sqrt((ways[way] ** 2).mean(axis=1)), "o-", color=colour, label=way)
-        axes.set_title(f"{protocol} loads")
-        axes.set_xlabel("measured pairs")
-        axes.set_ylabel("error / usual force [%]")
+    for axes, protocol in zip(figure.subplots(1, len(PROTOCOLS)), PROTOCOLS, strict=True):
+        for way, colour in COLOURS.items():
+            mine = [row for row in rows if (row["protocol"], row["loads"]) == (protocol, way)]
+            errors = [np.sqrt(np.mean(np.square(row["fx / fy / fz [%]"]))) for row in mine]
+            axes.loglog([row["pairs"] for row in mine], errors, "o-", color=colour, label=way)
+        axes.set(title=f"{protocol} loads", xlabel="measured pairs", ylabel="error / usual force [%]")
         axes.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
         axes.set_yticks([5, 10, 20, 50], ["5", "10", "20", "50"])
         axes.minorticks_off()
@@ -95,13 +97,12 @@ def draw(found: dict[str, dict[str, FloatArray]], path: Path) -> None:
     finish(figure, path)
 
 
-def main(docs: Path) -> None:
-    """Measure the curves of both protocols and write their picture into the folder of the docs."""
+def chosen_loads(docs: Path, trials: Annotated[int, Parameter(help="Sets of errors of the loads.")] = 3) -> None:
+    """Measure the curves of both protocols, and write their picture into the folder of the docs."""
     design = SensorDesign()
     response, truth = array_response(design)[0], array_response(as_made(design), SETTINGS["soft"])[0]
     expected = Expectation.of(response, response_sensitivities(design)[0], EVERYTHING)
-    draw({protocol: curves(truth, expected, design, protocol) for protocol in PROTOCOLS}, docs / "chosen-loads.png")
-
-
-if __name__ == "__main__":
-    run_alone(main)
+    rows = [row for protocol in PROTOCOLS for row in rows_of(truth, expected, design, protocol, trials)]
+    picture = docs / "chosen-loads.png"
+    draw(rows, picture)
+    report({"Errors over the usual force after pairs": rows}, OUT / "chosen-loads.json", more=[picture])

@@ -1,8 +1,10 @@
-"""Errors of decoders under drifts of the readings, those that know of them and others: ``python -m studies.drift``."""
+"""``python -m studies drift``: errors of decoders under drifts, of those that know of them and others."""
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, train
@@ -12,10 +14,12 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Drifts, Electrics, SensorDesign
 from geometry.layout import FloatArray
+from studies.tables import OUT, Folder, Row, report
 
 DRIFTS = Drifts(drift=0.005, drift_tilt=0.005, drift_pillar=0.002)
 ALL = COMPONENTS["all"]
-TRAINING, TESTS, SHIFTED = 2000, 1000, 200  #: numbers of samples
+PROTOCOLS = ("three-axis", "contact")
+SHIFTED = 200  #: samples
 LOADS = 20_000  #: for the covariance of usual loads
 
 
@@ -50,45 +54,58 @@ def posterior_deviation(response: ArrayResponse, protocol: str, data: Samples) -
     return float(np.sqrt(np.mean(variance)))
 
 
-def told(model: Decoupler, resistance_ohm: FloatArray, force_n: FloatArray) -> str:
+def judged(model: Decoupler, resistance_ohm: FloatArray, force_n: FloatArray) -> Row:
     """Errors of a model on readings, beside what it states."""
     w = net_weights(model.rows * model.cols)
     error_n = model.forces(resistance_ohm) - force_n
     net_n = (error_n.reshape(len(error_n), -1) @ w)[:, 0]
     deviation = np.sqrt(model.deviations(resistance_ohm, w)[1][:, 0, 0])
-    units = [np.mean(np.abs(error_n) <= width) for width in model.half_widths(resistance_ohm)]
+    within = [100.0 * float(np.mean(np.abs(error_n) <= width)) for width in model.half_widths(resistance_ohm)]
     consistency = model.consistency(resistance_ohm)
     assert consistency is not None
-    flagged = np.mean(np.greater(*consistency))
-    return (
-        f"units within {units[0]:.1%}, {units[1]:.1%}, worst {np.abs(error_n).max():.0f} N; net Fz "
-        f"{np.sqrt(np.mean(net_n**2)):.0f} N, stated {deviation.mean():.0f} N, within 95 %: "
-        f"{np.mean(np.abs(net_n) <= 2.0 * deviation):.1%}; flagged {flagged:.1%}"
-    )
+    return {
+        "units within 68 / 95 % [%]": within,
+        "worst [N]": float(np.abs(error_n).max()),
+        "net Fz [N]": float(np.sqrt(np.mean(net_n**2))),
+        "stated [N]": float(deviation.mean()),
+        "net within 95 % [%]": 100.0 * float(np.mean(np.abs(net_n) <= 2.0 * deviation)),
+        "flagged [%]": 100.0 * float(np.mean(np.greater(*consistency))),
+    }
 
 
-def main() -> None:
-    """Print both tables of docs/decoder.md, section Drift."""
-    plain = array_response(SensorDesign())[0]
+def rows_of(plain: ArrayResponse, protocol: str, train_samples: int, test_samples: int) -> tuple[list[Row], list[Row]]:
+    """Rows under drifts that are stated by the data, the design or nothing, and under shifts of all readings."""
     stated = replace(plain, design=replace(plain.design, electrics=Electrics(**vars(DRIFTS))))
-    for protocol in ("three-axis", "contact"):
-        drifting = samples(stated, protocol, TESTS, 2, DRIFTS)
-        models = {
-            "data": train(samples(stated, protocol, TRAINING, 1, DRIFTS), response=stated),
-            "design": train(samples(stated, protocol, TRAINING, 1), response=stated),
-            "nothing": train(samples(plain, protocol, TRAINING, 1), response=plain),
-        }
-        for name, model in models.items():
-            print(f"{protocol}, stated by {name}: {told(model, drifting.resistance_ohm, drifting.force_n)}")
-        print(f"{protocol}, posterior: net Fz {posterior_deviation(plain, protocol, drifting):.0f} N")
-        still = samples(plain, protocol, SHIFTED, 2)
-        R = still.resistance_ohm
-        rising = 1.0 + np.linspace(0.0, 0.02, R.shape[2])[None, None, :, None]
-        shifted = {"+ 0.5 %": 1.005 * R, "+ 2 %": 1.02 * R, "+ 100 Ω": R + 100.0, "0 to 2 % along x": R * rising}
-        for shift, ohms in shifted.items():
-            for name in ("nothing", "design"):
-                print(f"{protocol}, {shift}, stated by {name}: {told(models[name], ohms, still.force_n)}")
+    drifting, named = samples(stated, protocol, test_samples, 2, DRIFTS), {"protocol": protocol}
+    models = {
+        "data": train(samples(stated, protocol, train_samples, 1, DRIFTS), response=stated),
+        "design": train(samples(stated, protocol, train_samples, 1), response=stated),
+        "nothing": train(samples(plain, protocol, train_samples, 1), response=plain),
+    }
+    drifted: list[Row] = [
+        named | {"drift stated by": name} | judged(model, drifting.resistance_ohm, drifting.force_n)
+        for name, model in models.items()
+    ]
+    least = {"drift stated by": "linear posterior", "net Fz [N]": posterior_deviation(plain, protocol, drifting)}
+    still = samples(plain, protocol, SHIFTED, 2)
+    R = still.resistance_ohm
+    rising = 1.0 + np.linspace(0.0, 0.02, R.shape[2])[None, None, :, None]
+    shifts = {"+ 0.5 %": 1.005 * R, "+ 2 %": 1.02 * R, "+ 100 Ω": R + 100.0, "0 to 2 % along x": R * rising}
+    shifted = [
+        named | {"shift": shift, "drift stated by": name} | judged(models[name], ohms, still.force_n)
+        for shift, ohms in shifts.items()
+        for name in ("nothing", "design")
+    ]
+    return [*drifted, named | least], shifted
 
 
-if __name__ == "__main__":
-    main()
+def drift(
+    out: Folder = OUT,
+    samples: Annotated[int, Parameter(help="Training samples.")] = 2000,
+    tests: Annotated[int, Parameter(help="Test samples.")] = 1000,
+) -> None:
+    """Judge decoders under drift, as docs/decoder.md tells."""
+    response = array_response(SensorDesign())[0]
+    drifted, shifted = zip(*(rows_of(response, protocol, samples, tests) for protocol in PROTOCOLS), strict=True)
+    tables = {"Under drifts of 0.5 %, 0.5 % tilted, 0.2 % a pillar": drifted, "Under a shift of all readings": shifted}
+    report({title: [row for rows in each for row in rows] for title, each in tables.items()}, out / "drift.json")

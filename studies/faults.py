@@ -1,9 +1,11 @@
-"""Faults of pillars and wires that are named from 40 scans, and false alarms: ``python -m studies.faults``."""
+"""``python -m studies faults``: faults of pillars and wires that are named from 40 scans, and false alarms."""
 
 from collections import Counter
 from collections.abc import Callable
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
 
 from dataset import DatasetSettings, measured, simulate
 from decoupler import Decoupler, train
@@ -12,27 +14,29 @@ from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
+from studies.tables import OUT, Folder, Row, report
 
 NOISE, BITS = 1e-3, 12
-TRAINING = 2000  #: samples
 NAMES = SensorDesign().unit.layout.pillar_names
-WINDOWS = 40  #: of each fault, each with loads of its own and the fault in a place of its own
-SOUND = 500  #: windows of the usual loads without fault, 20,000 scans
-OTHERS = 100  #: the same of each other kind of loads
 HELD = 10  #: scans of one load, where loads are held
 PASSING = 5.0  #: stated deviations, which the error of a force must pass for its fault to count as one that matters
-Broken = tuple[FloatArray, str]  #: readings (n, P) and what is to be named
-Break = Callable[[FaultTest, FloatArray, np.random.Generator], Broken]
+#: a fault somewhere in readings (n, P), which it changes, and what is to be named
+Break = Callable[[FaultTest, FloatArray, np.random.Generator], str]
+
+
+def spoil(kind: str, ohms: FloatArray, which: list[int]) -> None:
+    """Make pillars stuck, open, or read 2 % too much."""
+    wrong: dict[str, Any] = {"stuck": ohms[0, which], "open": np.inf, "gain": 1.02 * ohms[:, which]}
+    ohms[:, which] = wrong[kind]
 
 
 def pillar(kind: str, name: str) -> Break:
     """A pillar of this name that is stuck, open, or has another gain."""
 
-    def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
-        unit, number = int(generator.integers(test.decoder.rows * test.decoder.cols)), NAMES.index(name)
-        spoilt(kind, ohms, [len(NAMES) * unit + number], generator)
-        said = "" if kind == "gain" else kind
-        return ohms, said and f"pillar {name} of row {unit // test.decoder.cols}, col {unit % test.decoder.cols} {said}"
+    def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> str:
+        unit, cols = int(generator.integers(test.decoder.rows * test.decoder.cols)), test.decoder.cols
+        spoil(kind, ohms, [len(NAMES) * unit + NAMES.index(name)])
+        return "" if kind == "gain" else f"pillar {name} of row {unit // cols}, col {unit % cols} {kind}"
 
     return broken
 
@@ -40,44 +44,33 @@ def pillar(kind: str, name: str) -> Break:
 def wire(kind: str, side: str) -> Break:
     """A wire of a row or column whose pillars are stuck or open."""
 
-    def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
+    def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> str:
         wires = [(name, which) for name, which in test.wires if name.startswith(side)]
         name, which = wires[generator.integers(len(wires))]
-        spoilt(kind, ohms, which.tolist(), generator)
-        return ohms, f"{name} {kind}"
+        spoil(kind, ohms, which.tolist())
+        return f"{name} {kind}"
 
     return broken
-
-
-def spoilt(kind: str, ohms: FloatArray, which: list[int], generator: np.random.Generator) -> None:
-    """Let some pillars of readings (n, P) read wrong, in place."""
-    if kind == "stuck":
-        ohms[:, which] = ohms[0, which]
-    elif kind == "open":
-        ohms[:, which] = np.inf
-    else:
-        ohms[:, which] *= 1.02
 
 
 def swap(side: str) -> Break:
     """Two wires that are swapped, or all of two rows or columns."""
 
-    def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> Broken:
+    def broken(test: FaultTest, ohms: FloatArray, generator: np.random.Generator) -> str:
         swaps = [(name, order) for name, order in test.swaps if name.startswith(side)]
         name, order = swaps[generator.integers(len(swaps))]
-        return ohms[:, order], f"{name} swapped"
+        ohms[:] = ohms[:, order]
+        return f"{name} swapped"
 
     return broken
 
 
 FAULTS: dict[str, Break] = {
     **{f"one {name} pillar stuck": pillar("stuck", name) for name in NAMES},
-    "one row wire stuck": wire("stuck", "row"),
-    "one column wire stuck": wire("stuck", "column"),
+    **{f"one {side} wire stuck": wire("stuck", side) for side in ("row", "column")},
     "two rows swapped": swap("rows"),
     "two columns swapped": swap("columns"),
-    "two row wires of a kind swapped": swap("row wires"),
-    "two column wires of a kind swapped": swap("column wires"),
+    **{f"two {side} of a kind swapped": swap(side) for side in ("row wires", "column wires")},
     "one z pillar open": pillar("open", "z"),
     "one row wire open": wire("open", "row"),
     "one z pillar 2 % up": pillar("gain", "z"),
@@ -94,11 +87,11 @@ def windows(ohms: FloatArray, n: int, held: int, generator: np.random.Generator)
 
 def moving(ohms: FloatArray, generator: np.random.Generator) -> list[FloatArray]:
     """Windows of readings that go evenly from one of some resistances (m, rows, cols, 3) to the next."""
-    step = np.arange(WINDOW).reshape(-1, 1, 1, 1) / HELD
-    whole, part = step.astype(int), step % 1.0
+    step = np.arange(WINDOW) / HELD
+    whole, part = step.astype(int), (step % 1.0)[:, None, None, None]
     size = int(whole.max()) + 2
     paths = [ohms[k : k + size] for k in range(0, len(ohms) - size, size)]
-    between = [path[whole.reshape(-1)] * (1.0 - part) + path[whole.reshape(-1) + 1] * part for path in paths]
+    between = [path[whole] * (1.0 - part) + path[whole + 1] * part for path in paths]
     return [measured(one, NOISE, BITS, generator) for one in between]
 
 
@@ -118,46 +111,53 @@ def passes(model: Decoupler, sound: FloatArray, broken: FloatArray) -> bool:
     return bool(errs[:, (broken != sound).any(axis=(0, 3))].any())
 
 
-def main() -> None:
-    """Print what docs/decoder.md says of faults."""
+def named_of(
+    model: Decoupler, test: FaultTest, broken: Break, sound: list[FloatArray], generator: np.random.Generator
+) -> Row:
+    """In how many windows a fault is named rightly, or something else is, and the same of those where it matters."""
+    met: Counter[str] = Counter()
+    for ohms in sound:
+        read = ohms.copy()
+        expected = broken(test, read.reshape(WINDOW, -1), generator)
+        named, matters = [str(fault) for fault in test.named(read)], passes(model, ohms, read)
+        met["right"] += expected in named
+        met["wrong"] += any(one != expected for one in named)
+        met[f"past {PASSING:g} deviations"] += matters
+        met["of these right"] += matters and expected in named
+    return dict(met)
+
+
+def faults(
+    out: Folder = OUT,
+    samples: Annotated[int, Parameter(help="Training samples.")] = 2000,
+    times: Annotated[int, Parameter(help="Windows of each fault, each with its own loads and place.")] = 40,
+    sound: Annotated[int, Parameter(help="Windows of usual loads without a fault; a fifth of other loads.")] = 500,
+) -> None:
+    """Count faults that are named, and false alarms."""
+    named, alarms, others = list[Row](), list[Row](), max(sound // 5, 1)
     response = array_response(SensorDesign())[0]
-    light = exact(response, "light", OTHERS * WINDOW, 12)
+    light = exact(response, "light", others * WINDOW, 12)
     for protocol in ("three-axis", "contact"):
-        asked = DatasetSettings(protocol=protocol, samples=TRAINING, seed=1, noise=NOISE, bits=BITS)
+        asked = DatasetSettings(protocol=protocol, samples=samples, seed=1, noise=NOISE, bits=BITS)
         model = train(simulate(response, asked).labels(), response=response)
         test, rest = FaultTest.of(model), model.rest_resistances()
         assert test is not None
         assert rest is not None
-        generator, usual = np.random.default_rng(5), exact(response, protocol, SOUND * WINDOW, 11)
+        generator, usual = np.random.default_rng(5), exact(response, protocol, sound * WINDOW, 11)
         for name, broken in FAULTS.items():
             for held in (1, HELD):
-                met: Counter[str] = Counter()
-                for ohms in windows(usual, WINDOWS, held, generator):
-                    flat, expected = broken(test, ohms.reshape(WINDOW, -1).copy(), generator)
-                    read = flat.reshape(ohms.shape)
-                    named, matters = [str(fault) for fault in test.named(read)], passes(model, ohms, read)
-                    met["right"] += expected in named
-                    met["wrong"] += any(one != expected for one in named)
-                    met["passing"] += matters
-                    met["passing and right"] += matters and expected in named
-                counts = f"right {met['right']}, wrong {met['wrong']} of {WINDOWS}"
-                counts += f"; {PASSING:g} deviations passed by {met['passing']}, right {met['passing and right']}"
-                print(f"{protocol}, {name}, each load for {held}: {counts}", flush=True)
-        sound = {
-            "usual loads": windows(usual, SOUND, 1, generator),
-            f"usual loads, each for {HELD}": windows(usual, OTHERS, HELD, generator),
-            "one usual load": windows(usual, OTHERS, WINDOW, generator),
-            f"usual loads, from one to the next in {HELD}": moving(usual[: 5 * OTHERS + 1], generator),
-            "light loads": windows(light, OTHERS, 1, generator),
-            "rest": windows(rest[None], OTHERS, WINDOW, generator),
+                found = named_of(model, test, broken, windows(usual, times, held, generator), generator)
+                named.append({"loads": protocol, "fault": name, "each load for": held, "windows": times} | found)
+        without = {
+            "usual loads": windows(usual, sound, 1, generator),
+            f"usual loads, each for {HELD}": windows(usual, others, HELD, generator),
+            "one usual load": windows(usual, others, WINDOW, generator),
+            f"usual loads, from one to the next in {HELD}": moving(usual[: 5 * others + 1], generator),
+            "light loads": windows(light, others, 1, generator),
+            "rest": windows(rest[None], others, WINDOW, generator),
         }
-        for name, some in sound.items():
-            alarms = [found for ohms in some if (found := test.named(ohms))]
-            shown = "; ".join(str(one[0]) for one in alarms[:3])
-            print(
-                f"{protocol}, no fault, {name}: {len(alarms)} alarms in {len(some) * WINDOW} scans {shown}", flush=True
-            )
-
-
-if __name__ == "__main__":
-    main()
+        for name, some in without.items():
+            met = [str(told[0]) for ohms in some if (told := test.named(ohms))]
+            said = {"scans": len(some) * WINDOW, "alarms": len(met), "such as": met[0] if met else ""}
+            alarms.append({"trained on": protocol, "without a fault": name} | said)
+    report({"Faults that are named": named, "False alarms": alarms}, out / "faults.json")

@@ -1,24 +1,21 @@
-"""``python -m studies.layouts``: what layouts are worth, pad loads behind a converter and touch through plates."""
+"""``python -m studies layouts``: what layouts are worth, pad loads behind a converter and touch through plates."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from dataset import DatasetSettings, Samples, simulate
+from dataset import DatasetSettings, simulate
 from dataset.measurement import ReadingError
 from decoupler import assess, train
 from decoupler.readings import Pillars
-from decoupler.touch.assessment import assess_touch
 from decoupler.touch.plates import PlateDecoder, plate_response
 from fem.array.response import ArrayResponse
 from fem.array.solving import array_response
 from geometry.design import Array, Pad, SensorDesign, Unit
-from geometry.layout import AXES, LAYOUTS
-from studies.program import run_alone
-from studies.tables import Row, report
-from studies.touched import unknown_samples
+from geometry.layout import LAYOUTS
+from studies.tables import OUT, Folder, Row, report
+from studies.touched import assessed, unknown_samples
 
 READ = ReadingError(noise=1e-3, bits=12)  #: of touches
 TESTS = 200  #: samples of pad loads that test
@@ -36,25 +33,12 @@ def back_again(response: ArrayResponse, samples: int) -> dict[str, Any]:
     }
 
 
-def through_plates(decoder: PlateDecoder, data: Samples) -> dict[str, Any]:
-    """Errors of contacts with plates."""
-    found = assess_touch(decoder, data)
-    each = [found.by_force[f"f{axis}"] for axis in AXES]
-    return {
-        "fx / fy / fz [N]": [one.errors.rmse_n for one in each],
-        "net Fz, median [%]": found.net_fz_median_pct,
-        "centre, median [mm]": found.centre_mm,
-        "fz over 1 N [N]": found.loaded_rmse_n,
-        "within 95 %: fz, over 1 N [%]": [100 * each[2].coverage[1], 100 * found.loaded_coverage[1]],
-    }
-
-
 def layouts(
     names: Annotated[list[str] | None, Parameter(name="--layout", help="Layout; may be given again.")] = None,
     units: Annotated[int, Parameter(help="Units along x, and along y.")] = 6,
     samples: Annotated[int, Parameter(help="Samples that a decoder of pad loads learns from.")] = 5000,
     contacts: Annotated[int, Parameter(help="Contacts of known shapes, and as many of unknown ones.")] = 120,
-    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/layouts.json"),
+    out: Folder = OUT,
 ) -> None:
     """Print errors of layouts on their own simulator's data: of pads and back, and of shapes on plates."""
     back, touch = list[Row](), list[Row]()
@@ -68,11 +52,7 @@ def layouts(
         asked = DatasetSettings(protocol="indent", samples=contacts, seed=KNOWN_SEED, noise=READ.noise, bits=READ.bits)
         unknown = unknown_samples(plated, READ, contacts, UNKNOWN_SEED)
         for shapes, data in (("known", simulate(responses["stiff"], asked)), ("unknown", unknown)):
-            touch.append({"layout": name, "shapes": shapes} | through_plates(decoder, data))
+            touch.append({"layout": name, "shapes": shapes} | assessed(decoder, data))
     about = {"units": f"{units} × {units}", "samples": samples, "contacts": contacts}
-    titles = "pad loads and back, 12 bits alone", "touch through plates, 0.1 % and 12 bits"
-    report(dict(zip(titles, (back, touch), strict=True)), out, about)
-
-
-if __name__ == "__main__":
-    run_alone(layouts)
+    tables = {"Pad loads and back, 12 bits alone": back, "Touch through plates, 0.1 % and 12 bits": touch}
+    report(tables, out / "layouts.json", about)

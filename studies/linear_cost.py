@@ -1,14 +1,17 @@
-"""``python -m studies.linear_cost DOCS``: what linear elasticity costs, the table and the pictures of docs/physics.md.
+"""``python -m studies linear-cost DOCS``: what linear elasticity costs, the table and the pictures of docs/physics.md.
 
 Finite and linear answers are of one grid, so that their difference is strain's alone; forces come from the linear map's
 own inverse, which reads the lengths of the pillars exactly as the linear model gives them.
 """
 
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from cyclopts import Parameter
 from scipy.optimize import least_squares
 
 from common.storage.files import write_text
@@ -20,11 +23,11 @@ from fem.pictures.parts import scene_field
 from geometry.design import Array, Pad, SensorDesign, with_model
 from geometry.layout import FloatArray
 from studies.charts import BLUE, ORANGE, finish, new_figure
-from studies.program import run_alone
+from studies.pages import markdown
 
-SHOWN = ("contact", "three-axis")
+PROTOCOL = "three-axis"
 PEAKS_MPA = (0.3, 1.0, 3.0, 5.0)  #: to which the greatest pressure of every sample is scaled
-SAMPLES, SEED = 3, 7  #: of each protocol and peak
+SEED = 7
 SMALL = 1e-4  #: of a load, at which rubber is linear
 CAP = 0.3  #: largest strain of a pillar, as of datasets
 NEAR = 1e-3  #: of the loads' root mean square: how little a force must miss before the inverse has settled
@@ -33,58 +36,36 @@ TABLE = re.compile("(?<=<!-- table -->\n).*?(?=<!-- end -->)", re.DOTALL)
 PRESSURES_MPA = (1.0, 2.0, 3.0, 4.0, 5.0)  #: of the picture; the last is shown in section
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Errors of linear elasticity on samples of one protocol under one greatest pressure."""
-
-    protocol: str
-    peak_mpa: float
-    samples: int
-    displacement: float  #: root mean square over that of the displacements
-    force: FloatArray  #: (3,): root mean square errors of Fx, Fy, Fz over that of all forces of the axis [N]
-    size_n: FloatArray  #: (3,): root mean squares of Fx, Fy, Fz
-
-
-def costs() -> list[Cost]:
-    """Errors by protocol and load, on a 3 × 3 array with stiff pads."""
+def costs(samples: int) -> Iterator[list[str]]:
+    """Rows of docs/physics.md: errors by the greatest pressure, on a 3 × 3 array with stiff pads."""
     solver = SampleSolver(DESIGN, unwanted=lambda u: strains(u) > CAP)
     n, small_n = 3 * DESIGN.n_units, SMALL * DESIGN.pad.size_mm**2
     ones = small_n * np.eye(n).reshape(n, -1, 3)
     compliance = solver.displacements(ones).displacement_mm / small_n  # (n, n_units, 2, 3) per newton
-    found = []
-    for protocol in SHOWN:
-        tractions = PROTOCOLS[protocol].draw(np.random.default_rng(SEED), SAMPLES, DESIGN)
-        for peak in PEAKS_MPA:
-            pressed = -tractions[..., 2].min(axis=1)
-            force = tractions * (peak / pressed)[:, None, None] * DESIGN.pad.size_mm**2
-            one = cost_of(protocol, peak, force, solver, compliance)
-            found += [one] if one.samples else []
-    return found
+    tractions = PROTOCOLS[PROTOCOL].draw(np.random.default_rng(SEED), samples, DESIGN)
+    pressed = -tractions[..., 2].min(axis=1)
+    for peak in PEAKS_MPA:
+        force_n = tractions * (peak / pressed)[:, None, None] * DESIGN.pad.size_mm**2
+        if found := cost_of(force_n, solver, compliance):
+            yield [f"{peak:g}", *found]
 
 
-def cost_of(
-    protocol: str,
-    peak_mpa: float,
-    force_n: FloatArray,
-    solver: SampleSolver,
-    compliance: FloatArray,
-) -> Cost:
-    """Errors on those samples of forces (m, n_units, 3) that settle and strain no pillar by more than `CAP`."""
+def cost_of(force_n: FloatArray, solver: SampleSolver, compliance: FloatArray) -> list[str]:
+    """Errors of linear elasticity on those samples of forces that settle and strain no pillar by more than `CAP`.
+
+    Root mean squares: of displacements over theirs, and of Fx, Fy, Fz beside theirs [N]. Forces are (m, n_units, 3).
+    """
     found = solver.displacements(force_n)
     kept = found.settled & (strains(found.displacement_mm) <= CAP)
-    finite, force_n = found.displacement_mm[kept], force_n[kept]
     if not kept.any():
-        return Cost(protocol, peak_mpa, 0, np.nan, np.full(3, np.nan), np.full(3, np.nan))
+        return []
+    finite, force_n = found.displacement_mm[kept], force_n[kept]
     linear = np.tensordot(force_n.reshape(len(force_n), len(compliance)), compliance, 1)
     read = np.array([inverse(pillar_lengths(u, DESIGN.unit), compliance) for u in finite]).reshape(force_n.shape)
-    return Cost(
-        protocol=protocol,
-        peak_mpa=peak_mpa,
-        samples=int(kept.sum()),
-        displacement=float(np.sqrt(((linear - finite) ** 2).mean() / (finite**2).mean())),
-        force=np.sqrt(((read - force_n) ** 2).mean(axis=(0, 1))),
-        size_n=np.sqrt((force_n**2).mean(axis=(0, 1))),
-    )
+    errors, sizes = (np.sqrt((each**2).mean(axis=(0, 1))) for each in (read - force_n, force_n))
+    displacement = np.sqrt(((linear - finite) ** 2).mean() / (finite**2).mean())
+    forces = [f"{e:.1f} of {s:.1f}" if s > 0 else f"{e:.1f} of 0" for e, s in zip(errors, sizes, strict=True)]
+    return [f"{100 * displacement:.1f} %", *forces]
 
 
 def strains(displacement_mm: FloatArray) -> FloatArray:
@@ -101,20 +82,6 @@ def inverse(length_mm: FloatArray, compliance: FloatArray) -> FloatArray:
         return (pillar_lengths(np.tensordot(size * share, compliance, 1), DESIGN.unit) - length_mm).ravel()
 
     return size * least_squares(missed, np.zeros(len(compliance)), xtol=NEAR * 1e-3).x
-
-
-def as_table(found: list[Cost]) -> str:
-    """The rows of docs/physics.md."""
-    lines = [
-        "| protocol | peak [MPa] | displacement | Fx [N] of rms | Fy [N] of rms | Fz [N] of rms |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for one in found:
-        forces = [
-            f"{e:.1f} of {s:.1f}" if s > 0 else f"{e:.1f} of 0" for e, s in zip(one.force, one.size_n, strict=True)
-        ]
-        lines.append(f"| {one.protocol} | {one.peak_mpa:g} | {one.displacement:.1%} | {' | '.join(forces)} |")
-    return "\n".join(lines).replace("%", " %") + "\n"
 
 
 def draw(folder: Path) -> None:
@@ -143,12 +110,10 @@ def draw(folder: Path) -> None:
     finish(figure, folder / "linear-and-finite.png")
 
 
-def main(folder: Path) -> None:
-    """Write the table into physics.md, and its picture beside it."""
-    page = folder / "physics.md"
-    write_text(TABLE.sub(lambda _: as_table(costs()), page.read_text(encoding="utf-8")), page)
-    draw(folder)
-
-
-if __name__ == "__main__":
-    run_alone(main)
+def linear_cost(docs: Path, samples: Annotated[int, Parameter(help="Samples of each peak.")] = 3) -> None:
+    """Write the table into physics.md in the folder of the docs, and its picture beside it."""
+    headers = ("peak [MPa]", "displacement", *(f"F{axis} [N] of rms" for axis in "xyz"))
+    table = markdown(headers, costs(samples), 0) + "\n"
+    page = docs / "physics.md"
+    write_text(TABLE.sub(lambda _: table, page.read_text(encoding="utf-8")), page)
+    draw(docs)

@@ -1,22 +1,19 @@
-"""``python -m studies.pads``: soft pads beside stiff ones, the tables of docs/physics.md."""
+"""``python -m studies pads``: soft pads beside stiff ones, the tables of docs/physics.md."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from dataset import DatasetSettings, simulate
+from dataset import DatasetSettings, Samples, simulate
 from decoupler import assess, train
 from fem.array.response import ArrayResponse
+from fem.array.solving import array_response
 from geometry.design import PAD_KINDS, SensorDesign
-from studies.program import run_alone
-from studies.tables import report
-from tripillar.pipeline.stage import respond
+from studies.tables import OUT, Folder, Row, report
 from tripillar.sweeps.judge import metrics_of
-from tripillar.terminal.progress import Bars
 
 PROTOCOLS = ("contact", "three-axis")
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}
@@ -30,19 +27,17 @@ def with_pad(design: SensorDesign, kind: str, size_mm: float | None = None) -> S
     return replace(design, pad=replace(design.pad, kind=kind, size_mm=size_mm or design.pad.size_mm))
 
 
-def map_row(response: ArrayResponse) -> dict[str, Any]:
+def map_row(response: ArrayResponse) -> Row:
     """Condition, crosstalk and limits of a response, as docs/results.md defines them."""
     found, pad = metrics_of(response, READ["noise"], READ["bits"], CAP), response.design.pad
     return {"kind": pad.kind, "size_mm": pad.size_mm} | {name: found[name] for name in SHOWN}
 
 
-def error_rows(
-    responses: dict[str, ArrayResponse], protocol: str, n_train: int, n_test: int, read: dict[str, Any]
-) -> Iterator[dict[str, Any]]:
+def error_rows(responses: dict[str, ArrayResponse], protocol: str, n_train: int, n_test: int) -> Iterator[Row]:
     """Errors of a joint net trained on each kind of pads and tested on each; `responses` are by kind."""
 
-    def samples(kind: str, n: int, seed: int) -> Any:
-        asked = DatasetSettings(protocol=protocol, samples=n, seed=seed, cap=CAP, **read)
+    def samples(kind: str, n: int, seed: int) -> Samples:
+        asked = DatasetSettings(protocol=protocol, samples=n, seed=seed, cap=CAP, **READ)
         return simulate(responses[kind], asked).labels()
 
     for kind, response in responses.items():
@@ -55,23 +50,17 @@ def error_rows(
                 yield row | {"rmse_n": one.errors.rmse_n, "of the force [%]": 100 * one.errors.rmse_n / size_n}
 
 
-def compare_pads(
-    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/pads.json"),
-    samples: Annotated[int, Parameter(help="Number of training samples.")] = 3000,
+def pads(
+    out: Folder = OUT, samples: Annotated[int, Parameter(help="Number of training samples.")] = 3000, tests: int = 400
 ) -> None:
     """Compare soft and stiff pads: the map from forces to readings, and errors of forces, also by the wrong kind."""
     design = SensorDesign()
-    with Bars() as bars:
-        found = {
-            (kind, size_mm): respond(with_pad(design, kind, size_mm), bars)[1]
-            for kind in PAD_KINDS
-            for size_mm in SIZES_MM
-        }
+    found = {
+        (kind, size_mm): array_response(with_pad(design, kind, size_mm))[0]
+        for kind in PAD_KINDS
+        for size_mm in SIZES_MM
+    }
     own = {kind: found[kind, design.pad.size_mm] for kind in PAD_KINDS}
-    errors = [row for protocol in PROTOCOLS for row in error_rows(own, protocol, samples, 400, READ)]
-    pads = [map_row(response) for response in found.values()]
-    report({"Map from forces to readings, by pad": pads, "Errors of forces": errors}, out)
-
-
-if __name__ == "__main__":
-    run_alone(compare_pads)
+    errors = [row for protocol in PROTOCOLS for row in error_rows(own, protocol, samples, tests)]
+    maps = [map_row(response) for response in found.values()]
+    report({"Map from forces to readings, by pad": maps, "Errors of forces": errors}, out / "pads.json")

@@ -1,4 +1,4 @@
-"""Tables of docs/ from what runs wrote: ``python -m studies.pages OUT`` takes new numbers from a folder.
+"""Tables of docs/ from what runs wrote: ``python -m studies pages OUT`` takes new numbers from a folder.
 
 A run writes JSON; what pages show of it is kept in docs/numbers/, and stands in the page between comments
 ``<!-- numbers: NAME -->`` and ``<!-- end -->``. A test finds a page that is older than its numbers.
@@ -13,7 +13,6 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from common.storage.files import write_json, write_text
-from studies.program import run_alone
 from tripillar.terminal.entry import wrote
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -26,6 +25,7 @@ SHOWN = {  #: decouplers of the table of `tripillar run`, with what the page cal
     "plain 17 (the paper's)": "plain 17 (the paper's); its PCA floor {floor}",
 }
 PAIRS = (0, 10, 200)  #: columns of the table of truths
+ASKED = (0.01, 0.001)  #: columns of the table of the gate: errors that are asked for
 
 Numbers = Any  #: parsed JSON
 
@@ -51,11 +51,11 @@ def truths_table(found: Numbers) -> str:
     for row in found:
         if row["pairs"] in PAIRS:
             truth = f"{row['truth']}, {row['protocol']}, {row['size']}"
-            cells = rows.setdefault(truth, [truth, _slashed(row["limit_pct"], ".3g")])
-            cells.append(_slashed(row["error_pct"], ".3g"))
+            cells = rows.setdefault(truth, [truth, _listed(row["limit_pct"], ".3g")])
+            cells.append(_listed(row["error_pct"], ".3g"))
             if row["pairs"]:
-                cells.append(_slashed((100 * min(row[name]) for name in ("within_68", "within_95")), ".0f"))
-    headers = [name for pairs in PAIRS[1:] for name in (f"{pairs} pairs", "least within 68 / 95 %")]
+                cells.append(_listed((100 * min(row[name]) for name in ("within_68", "within_95")), ".0f"))
+    headers = [name for pairs in PAIRS[1:] for name in (f"{pairs} pairs", "least within 68, 95 %")]
     return markdown(("truth", "Bayes limit", "untuned", *headers), rows.values(), 7)
 
 
@@ -66,10 +66,10 @@ def readings_table(found: Numbers) -> str:
         chosen = [row for row in found["rows"] if (row["part"], row["net"]) == (part, "inverse")]
         for case in dict.fromkeys(row["case"] for row in chosen):
             ours = [row for row in chosen if row["case"] == case]
-            errors = [_slashed((row[name] for row in ours), ".3g") for name in ("error_pct", "limit_pct")]
-            within = _slashed((100 * min(row["coverage"][k] for row in ours) for k in (0, 1)), ".0f")
+            errors = [_listed((row[name] for row in ours), ".3g") for name in ("error_pct", "limit_pct")]
+            within = _listed((100 * min(row["coverage"][k] for row in ours) for k in (0, 1)), ".0f")
             rows.append([case.replace("%", " %"), *errors, within])
-    return markdown(("readings", "error", "limit", "least within 68 / 95 %"), rows, 4)
+    return markdown(("readings", "error", "limit", "least within 68, 95 %"), rows, 4)
 
 
 def dead_table(found: Numbers) -> str:
@@ -92,7 +92,7 @@ def dead_table(found: Numbers) -> str:
 def gate_table(found: Numbers) -> str:
     """Seconds of programs to true errors: the whole process and, in brackets, the solve alone."""
     (rows, _), cells = found["tables"].values(), dict[str, dict[str, str]]()
-    for row in rows:
+    for row in (one for one in rows if one["asked"] in ASKED):
         took = {key.split(" whole")[0]: value for key, value in row.items() if "whole" in key}
         mine = took.pop("TriPillar", None)
         for peer in took or [""]:
@@ -180,8 +180,8 @@ def _percent_of(errors: Numbers) -> str:
     return "" if errors is None else percent(errors["rel_err"])
 
 
-def _slashed(values: Iterable[float], spec: str) -> str:
-    return " / ".join(format(value, spec) for value in values)
+def _listed(values: Iterable[float], spec: str) -> str:
+    return ", ".join(format(value, spec) for value in values)
 
 
 def _kept(numbers: Numbers) -> Numbers:
@@ -191,7 +191,3 @@ def _kept(numbers: Numbers) -> Numbers:
     if isinstance(numbers, list):
         return [_kept(one) for one in numbers]
     return float(f"{numbers:.6g}") if isinstance(numbers, float) else numbers
-
-
-if __name__ == "__main__":
-    run_alone(fill)

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from cyclopts import Parameter
 from rich.markup import escape
 from rich.table import Table
 
@@ -15,16 +16,18 @@ from common.storage.files import write_json
 from tripillar.terminal.entry import wrote
 from tripillar.terminal.tables import show
 
-Row = Mapping[str, Any]  #: cells by header
+Row = dict[str, Any]  #: cells by header
+Tables = Mapping[str, Sequence[Row]]  #: rows by title
+OUT = Path("out/studies")
+Folder = Annotated[Path, Parameter(help="Folder to write into.")]
+PACKAGES = ("numpy", "scipy", "scikit-fem", "pypardiso", "torch", "ngsolve")  #: whose versions are written down
 
 
-def report(
-    tables: Mapping[str, Sequence[Row]], out: Path, about: Mapping[str, Any] | None = None, more: Iterable[Path] = ()
-) -> None:
+def report(tables: Tables, out: Path, about: Mapping[str, Any] | None = None, more: Iterable[Path] = ()) -> None:
     """Print tables by their titles, write them as JSON, and say what was written, pictures `more` among it."""
     for title, rows in tables.items():
         show(table_of(title, rows))
-    write_json(_plain({"about": about or {}, "tables": tables}), out)
+    write_json(_plain({"about": {**measured_on(), **(about or {})}, "tables": tables}), out)
     wrote([*more, out])
 
 
@@ -46,14 +49,14 @@ def shown(value: Any) -> str:
     return "–" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def measured_on(packages: Iterable[str]) -> dict[str, object]:
+def measured_on() -> dict[str, object]:
     """Machine and versions, without which times mean little."""
     found: dict[str, object] = {
         "machine": platform.machine(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
     }
-    for package in packages:
+    for package in PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -1,10 +1,9 @@
-"""``python -m studies.touched --model touch.safetensors``: touch of shapes that no library has, at rest, and lightly.
+"""``python -m studies touched --model touch.safetensors``: touch of shapes that no library has, at rest, and lightly.
 
 Cones, rings, roof edges and two balls on one tool, pressed and dragged as the protocol `indent` does its shapes;
 ``--newtons 0.5 5`` draws contacts by their net forces, ``--known`` shapes of the library's kinds.
 """
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -23,12 +22,13 @@ from decoupler.touch.decoder import TouchDecoder
 from fem import SolverError
 from fem.contact import Contact, ContactError, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign
-from geometry.layout import FloatArray
-from studies.program import run_alone
+from geometry.layout import AXES, FloatArray
+from studies.tables import OUT, Folder, Row, report
 from tripillar.terminal.progress import Bars
 
 MAX_STRAIN = 0.3
 CELLS = 48
+Newtons = tuple[float, float] | None  #: range of a net force
 STEPS, CLOSE, TINY_N = 4, 0.1, 1e-6  #: of the search for a depth: how many, its logarithm's error, the least force
 
 
@@ -93,12 +93,7 @@ class TwoBalls(Shape):
 
 
 def unknown_contacts(
-    surface: SurfaceCompliance,
-    count: int,
-    seed: int,
-    newtons: tuple[float, float] | None = None,
-    *,
-    known: bool = False,
+    surface: SurfaceCompliance, count: int, seed: int, newtons: Newtons = None, *, known: bool = False
 ) -> list[Contact]:
     """Contacts of the four kinds in turn, or of the library's kinds, each below a strain of 0.3.
 
@@ -139,13 +134,7 @@ def _pressed_to(contact: Contact, net_n: float) -> Contact:
 
 
 def unknown_samples(
-    design: SensorDesign,
-    errors: ReadingError,
-    count: int,
-    seed: int,
-    newtons: tuple[float, float] | None = None,
-    *,
-    known: bool = False,
+    design: SensorDesign, errors: ReadingError, count: int, seed: int, newtons: Newtons = None, *, known: bool = False
 ) -> Samples:
     """Such contacts with a sensor, as it is read."""
     data = samples_of(unknown_contacts(surface_compliance(design)[0], count, seed, newtons, known=known))
@@ -165,10 +154,8 @@ def _drawn(generator: np.random.Generator, surface: SurfaceCompliance, kind: int
             h * generator.uniform(0, 0.03), turn=turn,
         ),
     )[kind]()  # fmt: skip
-    angle, slide = (
-        generator.uniform(0, 2 * np.pi),
-        h * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY),
-    )
+    angle = generator.uniform(0, 2 * np.pi)
+    slide = h * generator.uniform(*SLIDE) * (generator.uniform() >= PRESSED_ONLY)
     x, y = (slab * generator.uniform(-0.5, 0.5, 2)).tolist()
     depth = h * generator.uniform(0.03 if kind == 3 else DEPTH[0], DEPTH[1])
     return press(
@@ -177,31 +164,34 @@ def _drawn(generator: np.random.Generator, surface: SurfaceCompliance, kind: int
     )  # fmt: skip
 
 
-def at_rest_and_lightly(decoder: BareDecoder, scans: int, seed: int) -> dict[str, float]:
+def at_rest_and_lightly(decoder: BareDecoder, scans: int, seed: int) -> list[Row]:
     """Errors with nothing on the sensor and under touches of 1 N, of the library's presses made as light as that."""
     generator, library = np.random.default_rng(seed), decoder.library
     rest = np.repeat(decoder.rest_resistances()[None], scans, axis=0)
-    inner = np.flatnonzero((library.how[:, 1:] != 0).any(axis=1))
-    rows = generator.choice(inner, scans, replace=False)
+    rows = generator.choice(np.flatnonzero((library.how[:, 1:] != 0).any(axis=1)), scans, replace=False)
     unit = library.unit[rows].astype(float)
-    light = 1.0 / unit[:, :, 2].sum(axis=1)
-    moved = library.moved_mm[rows].astype(float) * light[:, None]
-    ohms = decoder.sensing.ohms(decoder.sensing.reading(moved)).reshape(rest.shape)
-    found: dict[str, float] = {}
-    for name, exact, true_n in (("at rest", rest, 0 * unit), ("1 N", ohms, unit * light[:, None, None])):
+    light = (1.0 / unit[:, :, 2].sum(axis=1))[:, None]
+    ohms = decoder.sensing.ohms(decoder.sensing.reading(library.moved_mm[rows].astype(float) * light))
+    found: list[Row] = []
+    for name, exact, true_n in (
+        ("at rest", rest, 0 * unit[..., :3]),
+        ("under 1 N", ohms.reshape(rest.shape), (unit * light[..., None])[..., :3]),
+    ):
         touches = decoder.touches(decoder.errors.read(exact, generator))
-        force_n = np.stack([each.force_n for each in touches])
+        error_n = np.stack([each.force_n for each in touches]) - true_n
         half_n = np.stack([each.half_widths_n[1] for each in touches])
-        missed = np.abs(force_n - true_n[..., :3])
-        net = missed_net = np.abs((force_n - true_n[..., :3])[..., 2].sum(axis=1))
-        net_sd = np.array([np.sqrt((each.factors[2::5].sum(axis=0) ** 2).sum()) for each in touches])
-        found |= {
-            f"{name}: largest error of a unit [N]": float(missed[..., 2].max()),
-            f"{name}: its 99 % [N]": float(np.quantile(missed[..., 2], 0.99)),
-            f"{name}: net within 0.5 N or two deviations": float((missed_net <= np.maximum(0.5, 2 * net_sd)).mean()),
-            f"{name}: largest net error [N]": float(net.max()),
-            f"{name}: errors within the 95 % deviation": float((missed <= half_n).mean()),
-        }
+        net = np.abs(error_n[..., 2].sum(axis=1))
+        net_sd = np.linalg.norm([each.factors[2::5].sum(axis=0) for each in touches], axis=1)
+        largest = np.abs(error_n[..., 2])
+        found.append(
+            {
+                "scans": f"{scans} {name}",
+                "fz a unit, largest / 99 % [N]": [float(largest.max()), float(np.quantile(largest, 0.99))],
+                "net, largest [N]": float(net.max()),
+                "net within 0.5 N or two deviations [%]": 100 * float((net <= np.maximum(0.5, 2 * net_sd)).mean()),
+                "errors within the 95 % deviation [%]": 100 * float((np.abs(error_n) <= half_n).mean()),
+            }
+        )
     return found
 
 
@@ -213,23 +203,36 @@ def read_touch(path: Path) -> TouchDecoder:
     return decoder
 
 
-def assess_unknown(
+def assessed(decoder: TouchDecoder, data: Samples) -> Row:
+    """Errors of contacts, as a row."""
+    with Bars() as bars:
+        advance = bars.begin("touches", total=len(data))
+        found = assess_touch(decoder, data, lambda done: advance(done, ""))
+    each = [found.by_force[f"f{axis}"] for axis in AXES]
+    return {
+        "fx / fy / fz [N]": [one.errors.rmse_n for one in each],
+        "0 N misses fz by [N]": float(np.sqrt((data.force_n[..., 2] ** 2).mean())),
+        "net Fz, median [%]": found.net_fz_median_pct,
+        "centre, median [mm]": found.centre_mm,
+        "fz over 1 N [N]": found.loaded_rmse_n,
+        "fz within 68 / 95 % [%]": [100 * part for part in each[2].coverage],
+        "fz over 1 N within 68 / 95 % [%]": [100 * part for part in found.loaded_coverage],
+    }
+
+
+def touched(
+    *,
     model: Annotated[Path, Parameter(help="File of `tripillar train --touch`.")],
     contacts: Annotated[int, Parameter(help="Contacts of unknown shapes.")] = 120,
     seed: Annotated[int, Parameter(help="Seed of the contacts and of the noise.")] = 77,
-    newtons: Annotated[tuple[float, float] | None, Parameter(help="Least and largest net force [N].")] = None,
+    newtons: Annotated[Newtons, Parameter(help="Least and largest net force [N].")] = None,
     known: Annotated[bool, Parameter(help="Press shapes of the library's kinds.")] = False,
+    out: Folder = OUT,
 ) -> None:
-    """Print the errors of touch on shapes that its library has not, at rest and under touches of 1 N."""
+    """Judge touch on shapes that its library has not, at rest and under touches of 1 N."""
     decoder = read_touch(model)
     data = unknown_samples(decoder.design, decoder.errors, contacts, seed, newtons, known=known)
-    with Bars() as bars:
-        advance = bars.begin("touches", total=contacts)
-        found = assess_touch(decoder, data, lambda done: advance(done, ""))
-    none = float(np.sqrt((data.force_n[..., 2] ** 2).mean()))
-    lightly = at_rest_and_lightly(decoder, 200, seed) if newtons is None and isinstance(decoder, BareDecoder) else {}
-    print(json.dumps({"0 N misses fz by": none} | found.plain() | lightly, indent=2))
-
-
-if __name__ == "__main__":
-    run_alone(assess_unknown)
+    tables = {f"{contacts} contacts": [assessed(decoder, data)]}
+    if newtons is None and isinstance(decoder, BareDecoder):
+        tables["At rest and lightly"] = at_rest_and_lightly(decoder, 200, seed)
+    report(tables, out / "touched.json")

@@ -37,7 +37,7 @@ ROOMS = {
     "decoupler": "data rubber inverse model training twin evaluation touch export",
     "hardware": "link recording readout streams virtual boards",
     "tripillar": "terminal pipeline doctor datasets sweeps viewer simulators face cli",
-    "studies": "pictures bench edge_cases paper robustness real_rubber",
+    "studies": "pictures bench paper robustness real_rubber",
 }
 
 

@@ -77,6 +77,24 @@ class Pairs:
         force_n, layout = samples.force_n, samples.layout
         return cls(resistance_ohm=ohms, force_n=force_n, noise=samples.noise, bits=samples.bits, layout=layout)
 
+    def labelled(self, max_unsure: float) -> Samples:
+        """Those whose loads are known to within `max_unsure` of their size, the first if there are none, as samples.
+
+        Pillars that are not read under all of these count as dead.
+        """
+        error2 = np.array([(each**2).sum() for each in self.unknown_n])
+        known = error2 <= max_unsure**2 * (self.force_n**2).sum(axis=(1, 2, 3))
+        some = self[np.flatnonzero(known) if known.any() else slice(1)]
+        dead = np.asarray(np.isnan(some.resistance_ohm).any(axis=0))
+        return Samples(
+            force_n=some.force_n,
+            resistance_ohm=np.where(dead, OPEN_OHM, some.resistance_ohm),
+            noise=self.noise,
+            bits=self.bits,
+            dead=dead,
+            layout=self.layout,
+        )
+
     def __len__(self) -> int:
         return len(self.force_n)
 

@@ -1,18 +1,19 @@
 """A model's errors beside what they are to be held against: the limit of the readings and the simplest decouplers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from common.threads import one_blas_thread
 from dataset import Samples
-from dataset.samples import AnySamples
-from decoupler.data.columns import force_columns
+from dataset.samples import AnySamples, SampleError
+from decoupler.data.columns import COMPONENTS, Component, force_columns
 from decoupler.data.enough import ENOUGH, drawn
-from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate
+from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate, force_errors
 from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
@@ -38,7 +39,7 @@ class Assessment:
     """Everything about one force component."""
 
     errors: ForceErrors
-    coverage: tuple[float, float]  #: shares of errors within the 68 % and the 95 % half-width
+    coverage: tuple[float, ...] = ()  #: shares of errors within the 68 % and the 95 % half-width, if there are any
     limits: Limits | None = None  #: None if the response is unknown or other forces act as well
     ratio: float | None = None  #: error over the lower bound without bias; None without noise
     baselines: dict[str, ForceErrors] = field(default_factory=dict)  #: eq. 8, if the design is known, and least squares
@@ -51,27 +52,64 @@ def assess(decoupler: Decoupler, data: AnySamples, response: "ArrayResponse | No
     `response` is that of the sensor; without it there are no limits. Errors are those on all samples; limits and
     coverage, of more than `ENOUGH`, those on a random draw. Data of another array are a `SampleError`.
     """
-    component, dead = decoupler.component, decoupler.dead
-    baselines: dict[str, Callable[[FloatArray], FloatArray]] = {}
-    if data.design is not None and not dead.any():
-        baselines[HOOKE] = partial(hooke_forces, design=data.design, component=component)
-    baselines[LINEAR] = decoupler.least_squares.forces
-    errors = evaluate(decoupler, data)
+    component = decoupler.component
+    errors, few = evaluate(decoupler, data), drawn(data)
+    told_n = decoupler.forces(few.resistance_ohm)
+    missed_n = np.abs(told_n - force_columns(few.force_n, component).reshape(told_n.shape))
+    found = covered(errors, missed_n, decoupler.half_widths(few.resistance_ohm))
+    return _compared(found, component, data, decoupler.readable, response, {LINEAR: decoupler.least_squares.forces})
+
+
+@one_blas_thread()
+def assess_predictions(
+    predicted_n: FloatArray, data: AnySamples, response: "ArrayResponse | None"
+) -> dict[str, Assessment]:
+    """Assess forces (n, rows, cols, 3) [N] that another program predicts for data; NaN along axes that it leaves out.
+
+    Beside the same limits as a model's, of all pillars that `data` can read; other shapes are a `SampleError`.
+    """
+    all_n = data[:].force_n
+    if predicted_n.shape != all_n.shape:
+        raise SampleError(
+            f"the predictions have shape {predicted_n.shape}, the samples' forces {all_n.shape}: give one for each "
+            "sample, in their order."
+        )
+    axes = "".join(axis for k, axis in enumerate(AXES) if not np.isnan(predicted_n[..., k]).all())
+    component = next((each for each in COMPONENTS.values() if "".join(each.axes) == axes), None)
+    if component is None or np.isnan(predicted_n[..., [AXES.index(axis) for axis in component.axes]]).any():
+        raise SampleError(
+            f"the predictions are of axes '{axes}', some not of every sample: give all three, or one alone, and NaN "
+            "along the others."
+        )
+    errors = {
+        name: force_errors(predicted_n[..., k], all_n[..., k])
+        for name, k in zip(component.forces, (AXES.index(axis) for axis in component.axes), strict=True)
+    }
+    n_pillars = int(np.prod(data.shape)) * len(data.layout.pillars)
+    readable = np.ones(n_pillars, bool) if data.dead is None else ~data.dead.reshape(-1)
+    found = {name: Assessment(errors=each) for name, each in errors.items()}
+    return _compared(found, component, data, readable, response, {})
+
+
+def _compared(
+    found: dict[str, Assessment], component: Component, data: AnySamples, readable: NDArray[np.bool_],
+    response: "ArrayResponse | None", others: Mapping[str, Callable[[FloatArray], FloatArray]],
+) -> dict[str, Assessment]:  # fmt: skip
+    """Errors by force, with the limits of the readings and the errors of simpler decouplers and of others beside."""
+    baselines = dict(others)
+    if data.design is not None and readable.all():
+        baselines = {HOOKE: partial(hooke_forces, design=data.design, component=component)} | baselines
     compared = {name: errors_over(data.blocks(ENOUGH), forces, component) for name, forces in baselines.items()}
-    data = drawn(data)
-    limits = _limits(decoupler, data, response)
-    told_n = decoupler.forces(data.resistance_ohm)
-    missed_n = np.abs(told_n - force_columns(data.force_n, component).reshape(told_n.shape))
-    found = {}
-    for name, one in covered(errors, missed_n, decoupler.half_widths(data.resistance_ohm)).items():
-        limit = limits.get(name)
-        found[name] = replace(
+    limits = _limits(component, readable, drawn(data), response)
+    return {
+        name: replace(
             one,
-            limits=limit,
+            limits=(limit := limits.get(name)),
             ratio=one.errors.rmse_n / limit.cramer_rao_n if limit is not None and limit.cramer_rao_n else None,
             baselines={label: by_force[name] for label, by_force in compared.items()},
         )
-    return found
+        for name, one in found.items()
+    }
 
 
 def covered(
@@ -85,15 +123,16 @@ def covered(
     }
 
 
-def _limits(decoupler: Decoupler, data: Samples, response: "ArrayResponse | None") -> dict[str, Limits]:
+def _limits(
+    component: Component, readable: NDArray[np.bool_], data: Samples, response: "ArrayResponse | None"
+) -> dict[str, Limits]:
     """Limits of every force of the component; none where the response does not say them."""
-    component = decoupler.component
     others = [index for index, axis in enumerate(AXES) if axis not in component.axes]
     if response is None or np.any(data.force_n[..., others]):
         return {}
     every = np.linspace(0, len(data.force_n) - 1, min(MAX_SAMPLES, len(data.force_n))).astype(int)
     usual_n, forward = force_columns(data.force_n, component), SensorModel.of(response, component)
-    reading = data.errors, data.shape, decoupler.readable
+    reading = data.errors, data.shape, readable
     both = cramer_rao(forward, usual_n[every], *reading), bayes(forward, usual_n[every], *reading, usual_n)
     by_axis = [np.sqrt((least_n**2).reshape(-1, len(component.axes)).mean(axis=0)).tolist() for least_n in both]
     return {

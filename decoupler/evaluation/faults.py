@@ -26,7 +26,6 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.measurement import ReadingError
 from decoupler.model.decoder import BEYOND as LONGER
 from decoupler.model.decoder import Decoder
 from decoupler.model.foretold import Foretold
@@ -85,7 +84,7 @@ class FaultTest:
         usual, stated, rest_ohm = decoder.usual_readings, decoder.errors, decoder.rest_resistances()
         if usual is None or stated is None or rest_ohm is None:
             return None
-        errors = ReadingError(noise=stated.noise, bits=stated.bits)
+        errors = stated.without_drifts()
         if errors.is_exact:
             return None
         pillars = np.flatnonzero(decoder.read)

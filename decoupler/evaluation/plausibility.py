@@ -44,7 +44,8 @@ MAX_PADS = 64  #: pads that are looked at one by one
 PROBE_N = 1.0  #: change of forces by which the model is differentiated
 ROUNDS = 5  #: of a search for multiples
 CLEAR = (1.5, 100.0)  #: times the noise: what is left is less, what moved is more, where no mistake hides
-TARE = (0.03, 0.15, 5.0)  #: of what is added to all Fz: least pull and least size, over their mean; standard errors
+TARE = 0.03  #: least size of what is added to all Fz, or of a pull, over their mean
+OWN_NOISE = 1.15  #: largest energy that a sensor's own response leaves over that of noise; of one 2 % higher 1.3
 #: newtons of what may have been written for one
 UNITS = {"kN": 1e3, "mN": 1e-3, "grams": 1e-3 * KGF_N, "kgf": KGF_N, "taken for kgf": 1 / KGF_N, "lbf": 4.44822}
 UNITS |= {"ounces": 0.278014, "halved": 2.0, "doubled": 0.5}
@@ -81,11 +82,13 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
     readings that noise hides, say nothing and are never doubted.
     """
     if isinstance(data, Pairs):
-        return None if forward is None else _of_loads(data, component, forward)
+        said = None if forward is None else _mistaken(_Fit.of_all(data, component, forward))
+        return (
+            said if forward is None or said not in (None, NOT_LINKED) else _of_loads(data, component, forward) or said
+        )
     if said := _of_contacts(data):
         return said
-    data = _some(data, component)
-    own = Columns.of(data, component)
+    own = Columns.of(data := _some(data, component), component)
     columns = own.resistance_ohm[:, own.readable]
     if len(own) > 1 and _is_constant(own.force_n) and _scattered(columns, data):
         return f"{_alike(own.force_n)}, though the resistances differ by more than noise: give their loads"
@@ -99,9 +102,9 @@ def doubt(data: Samples | Pairs, component: Component, forward: SensorModel | No
     return _mistaken(_Fit.of_all(data, component, forward))
 
 
-def suspicion(data: Samples, component: Component, forward: SensorModel | None) -> str | None:
+def suspicion(data: Samples | Pairs, component: Component, forward: SensorModel | None) -> str | None:
     """Say in a line what looks wrong in samples that are not doubted, though a sensor may read so; None if nothing."""
-    fit = None if forward is None else _Fit.of_all(_some(data, component), component, forward)
+    fit = None if forward is None else _Fit.of_all(data, component, forward)
     if fit is None or fit.explained is None:
         return None
     said = fit.of_axes(OF_AXES[0])
@@ -153,7 +156,7 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
         unit = "; a factor of 1000 is kΩ for Ω" if 300 < max(times, 1.0 / times) < 3000 else ""
         return (
             f"the sensor's resistances are {times:.3g} times those of the design: check the board's SENSE_OHM and the "
-            f"design's resistivity{unit}."
+            f"design's resistivity{unit}"
         )
     if not (pairs.force_n != pairs.force_n[0]).any():
         return None
@@ -170,7 +173,7 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
         times = math.sqrt(2.0) * pairs.noise / (MAX_UNSURE * float(size.max()))
         return (
             f"no load is large enough to be told from the noise of {100 * pairs.noise:.2g} %: take {times:.2g} times "
-            "as much, or measure longer (seconds=); loads are in newtons, weights in grams."
+            "as much, or measure longer (seconds=); loads are in newtons, weights in grams"
         )
     multiple = np.nansum(change * expected, axis=(1, 2, 3))[is_told] / size[is_told] ** 2
     logs = np.log(np.maximum(multiple, 1e-9))
@@ -179,7 +182,7 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
     worst = int(np.abs(logs).argmax())
     name = pairs.names[int(np.flatnonzero(acts)[is_told][worst])]
     is_kgf = np.abs(np.abs(logs) - math.log(KGF_N)).max() < math.log(MAX_TIMES) and np.ptp(np.sign(logs)) == 0
-    kgf = f" All loads seem to be {'too small' if logs[0] > 0 else 'too large'} by 9.8, as kgf are." if is_kgf else ""
+    kgf = f" All loads seem to be {'too small' if logs[0] > 0 else 'too large'} by 9.8, as kgf are" if is_kgf else ""
     return (
         f"load '{name}' changed the resistances by {100 * max(multiple[worst], 0.0):.0f} % of what it should: is it on "
         f"the sensor, on that pad, and in newtons (grams for a weight)?{kgf}"
@@ -207,8 +210,9 @@ class _Fit:
     forward: SensorModel
 
     @classmethod
-    def of_all(cls, data: Samples, component: Component, forward: SensorModel) -> "_Fit":
+    def of_all(cls, data: Samples | Pairs, component: Component, forward: SensorModel) -> "_Fit":
         """Of all pillars that move, where the model is joint: those that the component does not take tell more."""
+        data = _some(data.labelled(MAX_UNSURE) if isinstance(data, Pairs) else data, component)
         fit = cls(data, component, forward)
         still = ~(np.ptp(data.resistance_ohm, axis=0) > 0)
         still[..., component.pillars(data.layout)] = False
@@ -312,7 +316,7 @@ class _Fit:
     def of_axes(self, limit: float) -> str | None:
         """Name the axes whose forces, or all whose forces, are another multiple than a limit allows."""
         acts, times = np.ptp(self.data.force_n, axis=(0, 1, 2)) > 0, self.times
-        off = acts & ((times < 1.0 / limit) | (times > limit))
+        off = acts & (np.abs(times) > CONSTANT) & ((times < 1.0 / limit) | (times > limit))  # 0: none shows
         if off.sum() == acts.sum() > 0 and np.ptp(times[acts]) < (OF_PAD - 1.0) * np.abs(times[acts]).max():
             return self.said("all forces", times[acts].mean())
         return "; ".join(self.said(f"forces along {AXES[k]}", times[k]) for k in np.flatnonzero(off)) or None
@@ -333,7 +337,7 @@ class _Fit:
         rows, cols = self.data.shape
         groups = np.repeat(np.eye(rows * cols), self.labels.shape[1] // (rows * cols), axis=1)
         times = self.scaled.multiples(groups).reshape(rows, cols, 1)
-        times /= np.median(times)
+        times /= np.sort(times, axis=None)[times.size // 2]  # the mean of two kinds is of neither
         off = (times < 1.0 / OF_PAD) | (times > OF_PAD)
         said = "; ".join(self.said(f"forces of pad {i}/{j} (row/col)", times[i, j, 0]) for i, j, _ in np.argwhere(off))
         return {said: self.scaled.turned(lambda F: F * np.where(off, times, 1.0))} if said else {}
@@ -358,29 +362,25 @@ class _Fit:
         return {said: mended.scaled} if ratio > OF_AXES[1] else {}
 
     def of_tare(self) -> str | None:
-        """Say what was added to all Fz, if it pulls most pads or if pillars are too long for their gains and sizes."""
-        fz, scaled, was_tared = self.data.force_n[..., 2], self.scaled, "was the load cell tared under load?"
+        """Say what was added to all Fz, if it pulls most pads, or if without it no more than noise is left."""
+        fz, was_tared = self.data.force_n[..., 2], "was the load cell tared under load?"
         typical, lowest, highest = np.abs(fz).mean(), np.median(fz.min(axis=0)), np.median(fz.max(axis=0))
-        if lowest < -TARE[0] * typical and not 0.5 < highest / -lowest < 2.0:
+        if lowest < -TARE * typical and not 0.5 < highest / -lowest < 2.0:
             return f"Fz falls to {lowest:.3g} N on most pads, which pulls them: {was_tared}"
-        if not self.is_joint or len(rest2 := self.forward.rest_mm**2) != len(AXES):
-            return None
-        mean, by = scaled.labels.mean(axis=0)[None], np.tile([0.0, 0.0, PROBE_N], self.labels.shape[1] // 3)
-        less, more = scaled.lengths(mean - by)[0], scaled.lengths(mean + by)[0]
-        measured = self.forward.lengths_of(self.own.resistance_ohm)[:, self.own.readable]
-        apart = np.log(measured / scaled.lengths(scaled.labels)).mean(axis=0)
-        A = np.array([np.ones(len(less)), (rest2[-1] / rest2.sum(axis=0))[self.own.readable], np.log(more / less)]).T
-        told = len(A) > 2 * A.shape[1] and np.linalg.cond(A / np.linalg.norm(A, axis=0)) < 1e3
-        found, variance = np.linalg.lstsq(A, apart)[0], np.linalg.pinv(A.T @ A)[-1, -1] / max(len(A) - A.shape[1], 1)
-        error = math.sqrt(((apart - A @ found) ** 2).sum() * variance)
-        off, least = 2.0 * PROBE_N / self.times[2] * np.array([found[-1], TARE[2] * error])
-        said = f"{-off:.3g} N seem to be added to all Fz, unless pads or rubber differ: {was_tared}"
-        return said if told and abs(off) > max(abs(least), TARE[1] * typical) else None
+        added, step, mended = 0.0, TARE * typical, self.scaled
+        for _ in range(ROUNDS if np.ptp(fz) else 0):
+            mended, more = (self.turned(partial(np.add, [0.0, 0.0, n])).scaled for n in (added, added + step))
+            slope = (more.left - mended.left) / step
+            added -= (mended.left * slope).sum() / max((slope**2).sum(), CONSTANT)
+        is_own = mended.energy < OWN_NOISE * (mended.energy - (mended.left**2).sum() + mended.noise)
+        is_own &= mended.log_likelier(self.scaled) > math.log(1.0 / FALSE_ALARMS)
+        said = f"{-added:.3g} N seem to be added to all Fz, unless pads or rubber differ: {was_tared}"
+        return said if is_own and abs(added) > step else None
 
 
 def _mistaken(given: _Fit) -> str | None:
     """The mistake that explains the data best, if decidedly better than none; none is sought in noise."""
-    if (given.left**2).sum() < CLEAR[0] * given.noise < (given.moved**2).sum() * CLEAR[0] / CLEAR[1]:
+    if (given.left**2).sum() <= CLEAR[0] * given.noise <= (given.moved**2).sum() * CLEAR[0] / CLEAR[1]:
         return None
     unlinked, n_pads = given.turned(lambda F: 0.0 * F), math.prod(given.data.shape)
     others = {said: given.turned(turn) for said, turn in MISTAKES.items()}

@@ -323,7 +323,7 @@ class Decoupler(Decoder):
         """Forces (row, col, name) that dead pillars leave unsure; empty if all can be trusted or nothing is known."""
         limit_n = None
         if self.inverse is not None and self.dead.any():
-            errors, shape = ReadingError(noise=self.errors.noise, bits=self.errors.bits), (self.rows, self.cols)
+            errors, shape = self.errors.without_drifts(), (self.rows, self.cols)
             limit_n = cramer_rao(self.inverse.forward, self.inverse.centre_n[None], errors, shape)[0]
         lost = self.uncertainty.untrusted(self.output_scaling.half_range, limit_n)
         places = np.argwhere(lost.reshape(self.rows, self.cols, -1))

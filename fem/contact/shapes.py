@@ -4,6 +4,7 @@ Capsules and convex bodies stand as they are turned in space, for simulators tha
 """
 
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,7 +26,8 @@ TOOL_FILES = (".stl", ".obj", ".ply", ".step", ".stp")
 USUAL_MM, LIKELY_MM = (1.0, 2000.0), (1.0, 500.0)  #: extents that are taken for mm unasked, and that a unit is to give
 SMALL_MM = 3.0  #: under which that is said: larger tools in cm and inches look so
 MAX_BYTES, MAX_TRIANGLES = (120_000_000, 30_000_000), 1_000_000  #: of files of triangles and of STEP
-STEP_SHARE, STEP_ANGLE, STEP_S = 2e-5, 0.05, 50.0  #: of triangles off its surfaces: of its size, [rad]; to wait [s]
+STEP_SHARE, STEP_ANGLE = 2e-5, 0.05  #: of triangles off its surfaces: of its size, [rad]
+STEP_S, STEP_WAIT_S = 50, 600.0  #: of processor time to read a STEP file, and to wait for that [s]
 RASTER, FINE_MM, MAX_RASTER = 800, 0.05, 1600  #: points along a map's longer side; or so near, but not more
 MAX_LAYERS, MAX_POINTS = 50.0, 1_000_000  #: triangles over a point, else there are fewer; points at a time
 UPRIGHT, MAX_CRACKS, MIN_INWARD = 1e-13, 1e-4, 1e-3  #: shares of areas from below that do not count
@@ -260,7 +262,7 @@ def read_solid(path: Path, unit: str | None = None, scale: float = 1.0, turn_deg
             if b"END-ISO-10303-21" not in path.read_bytes():
                 raise ShapeError(f"{path}: no STEP file, or cut off: export it again.")
             with open_pool(1) as pool:
-                triangles = pool.executor.submit(_of_step, path).result(STEP_S)
+                triangles = pool.executor.submit(_of_step, path).result(STEP_WAIT_S)
         else:
             triangles = _of_mesh(path, ending[1:], notes)
     except ShapeError:
@@ -305,6 +307,11 @@ def _of_mesh(path: Path, ending: str, notes: list[str]) -> FloatArray:
 
 
 def _of_step(path: Path) -> FloatArray:
+    """In a process of its own, which ends where the file takes it too long."""
+    if sys.platform != "win32":
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (STEP_S, resource.getrlimit(resource.RLIMIT_CPU)[1]))
     from build123d import import_step
 
     shape = import_step(path)

@@ -84,10 +84,10 @@ def calibrated(
     if not doubted and not residual < MAX_MISSED:
         doubted = (
             f"these loads do not explain what the sensor shows, resistances are missed by {100 * residual:.3g} %: "
-            "check their units (newtons, or grams for weights), rows and columns, and the design."
+            "check their units (newtons, or grams for weights), rows and columns, and the design"
         )
     if doubted and not force:
-        raise FileFormatError(f"{doubted} Or write it as it is with force=True.")
+        raise FileFormatError(f"{doubted}. Or write it as it is with force=True.")
     return found, residual
 
 
@@ -96,5 +96,5 @@ def _few_loads(pairs: Pairs) -> str | None:
         return None
     return (
         f"{len(pairs)} measured, all of the same forces, which cannot tell a pillar's gain from its offset: "
-        "measure at least two loads that differ, one of them nothing at all."
+        "measure at least two loads that differ, one of them nothing at all"
     )

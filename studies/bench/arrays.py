@@ -1,91 +1,86 @@
-"""``python -m studies.bench.arrays``: time and memory of array responses from 2 × 2 to 48 × 48, and of each way there.
+"""``python -m studies arrays``: time and memory of array responses from 2 × 2 to 48 × 48, and of each way there.
 
-Every response is computed in a process of its own, without cache. Where `references.json` has columns of an array's
-response, the error against them is given for the loaded unit and its first neighbours.
+Every response is computed in a process of its own, without cache, on two threads. Of the paper's sensor the error
+against NGSolve's columns is given for the loaded unit and its first neighbours.
 """
 
-from functools import partial
-from operator import eq
+import json
+import resource
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Material, SensorDesign
-from geometry.layout import FloatArray
-from studies.bench.harness import Contender, Found, Settings, run_contenders
-from studies.bench.reference import stored_references
-from studies.program import run_alone
-from studies.tables import measured_on, report
+from geometry.layout import AXES, FloatArray
+from studies.bench.processes import timed
+from studies.bench.reference import reference_probes
+from studies.tables import OUT, Folder, Row, report
+from tripillar.terminal.entry import say
 
-SAME, SOFT = 6.1, 1.0  #: cases: the matrix's modulus [MPa]; pillars have 6.1
-REFERRED = (6, SAME)  #: units a side and modulus of the response that has references
-
-
-def measure(contender: Contender, case: float, setting: int) -> Found:
-    """The response of so many units a side in a matrix of some modulus, held to its reference if there is one."""
-    design = SensorDesign(array=Array(rows=setting, cols=setting), matrix_material=Material(young_mpa=case))
-    response = contender.solve(design)
-    estimate = None if np.isnan(response.error_estimate) else response.error_estimate
-    return Found(
-        errors=column_errors(response.influence_mm_per_n) if (setting, case) == REFERRED else {},
-        size=response.unknowns,
-        steps=response.seconds,
-        notes={"estimate": estimate, "residual": response.residual},
-    )
+SAME_MPA, SOFT_MPA = 6.1, 1.0  #: the matrix's modulus; pillars have 6.1
+THREADS = 2
+#: by name: the matrix, the settings, and numbers of units a side
+WAYS: dict[str, tuple[float, dict[str, Any], tuple[int, ...]]] = {
+    "cells": (SAME_MPA, {"tolerance": 1e-3}, (2, 6, 12, 24, 48)),
+    "cells, 1e-2": (SAME_MPA, {"tolerance": 1e-2}, (6,)),
+    "tetrahedra from CAD": (SAME_MPA, {"method": "tetrahedra"}, (2, 6)),
+    "layer": (SAME_MPA, {"method": "layer"}, (6,)),
+    "cells, soft matrix": (SOFT_MPA, {"tolerance": 1e-2}, (2, 6, 12)),
+    "tetrahedra from CAD, soft matrix": (SOFT_MPA, {"method": "tetrahedra"}, (6,)),
+}
 
 
-def column_errors(influence: FloatArray) -> dict[str, float]:
-    """Error of a response against its stored columns: of the loaded unit and of its first neighbours, relative."""
-    scenes = stored_references()
-    rows, cols = influence.shape[:2]
-    found: dict[str, float] = {}
-    for place, (row, col) in {"inner": (rows // 2, cols // 2), "edge": (0, cols // 2), "corner": (0, 0)}.items():
-        for axis, letter in enumerate("xyz"):
-            probes = scenes.get(f"response-{place}-{letter}", {}).get("probes", {})
-            for i, j in np.ndindex(rows, cols):
-                apart = abs(i - row) + abs(j - col)
-                if probes and apart < 2:
-                    exact = np.array([probes[f"{i * cols + j}-U{k}"] for k in (1, 2)])
-                    misfit = np.linalg.norm(influence[i, j, :, :, row, col, axis] - exact) / np.linalg.norm(exact)
-                    label = f"{place} {('self', 'first')[apart]}"
-                    found[label] = max(found.get(label, 0.0), float(misfit))
+def measured(way: str, units: int) -> Row:
+    """The response of so many units a side by one way: what it took in this process, and how far it is off."""
+    young_mpa, settings, _ = WAYS[way]
+    design = SensorDesign(array=Array(rows=units, cols=units), matrix_material=Material(young_mpa=young_mpa))
+    response = solve_response(design, ResponseSettings(**settings))
+    most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    row = {
+        "way": way,
+        "units a side": units,
+        "seconds": sum(response.seconds.values()),
+        "unknowns": response.unknowns,
+        "peak MB": most / (1e6 if sys.platform == "darwin" else 1e3),  # bytes there, kB elsewhere
+        "estimate": None if np.isnan(response.error_estimate) else response.error_estimate,
+    }
+    return row | (column_errors(response.influence_mm_per_n) if design == SensorDesign() else {})
+
+
+def column_errors(influence_mm_per_n: FloatArray) -> Row:
+    """Error of the paper's response by a load on an inner pad, of its own electrodes and of its first neighbours."""
+    rows, cols = influence_mm_per_n.shape[:2]
+    row, col, found = rows // 2, cols // 2, {"own": 0.0, "neighbours": 0.0}
+    for axis, letter in enumerate(AXES):
+        exact = np.array([*reference_probes(f"response-inner-{letter}").values()]).reshape(rows, cols, 2, 3)
+        for i, j in np.ndindex(rows, cols):
+            if (apart := abs(i - row) + abs(j - col)) < 2:
+                missed = np.linalg.norm(influence_mm_per_n[i, j, :, :, row, col, axis] - exact[i, j])
+                name = ("own", "neighbours")[apart]
+                found[name] = max(found[name], float(missed / np.linalg.norm(exact[i, j])))
     return found
 
 
-def by_settings(design: SensorDesign, **settings: object) -> ArrayResponse:
-    """The response as users get it."""
-    return solve_response(design, ResponseSettings(**settings))  # type: ignore[arg-type]  # it checks them itself
-
-
-CONTENDERS = [
-    Contender(name=name, family="TriPillar", solve=solve, settings=units, covers=partial(eq, matrix))
-    for matrix, name, solve, units in (
-        (SAME, "cells", partial(by_settings, tolerance=1e-3), (2, 6, 12, 24, 48)),
-        (SAME, "cells, 1e-2", partial(by_settings, tolerance=1e-2), (6,)),
-        (SAME, "tetrahedra from CAD", partial(by_settings, method="tetrahedra"), (2, 6)),
-        (SAME, "layer", partial(by_settings, method="layer"), (6,)),
-        (SOFT, "cells, soft matrix", partial(by_settings, tolerance=1e-2), (2, 6, 12)),
-        (SOFT, "tetrahedra from CAD, soft matrix", partial(by_settings, method="tetrahedra"), (6,)),
-    )
-]
-
-
-def bench(
-    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/arrays.json"),
-    only: Annotated[str, Parameter(help="Cases whose name holds this.")] = "",
+def arrays(
+    out: Folder = OUT,
+    way: Annotated[list[str] | None, Parameter(help=f"Way to take: {'; '.join(WAYS)}; default: all.")] = None,
+    units: Annotated[int | None, Parameter(help="Units a side; default: those of each way.")] = None,
+    here: Annotated[bool, Parameter(help="Measure in this process and print the row as JSON.")] = False,
 ) -> None:
-    """Measure every response once, with two threads; the setting is the number of units a side."""
-    records, settings = [], Settings(runs=1, patience_s=3600.0)
-    for case in (SAME, SOFT):
-        chosen = [one for one in CONTENDERS if one.covers(case) and only in one.name]
-        records += run_contenders("studies.bench.arrays", f"matrix of {case:g} MPa", case, chosen, settings)
-    title = "Array responses by units a side, everything included, nothing cached"
-    report({title: [one.cells for one in records]}, out, measured_on(("numpy", "scipy", "scikit-fem")))
-
-
-if __name__ == "__main__":
-    run_alone(bench)
+    """Measure every response once."""
+    rows = []
+    for name in way or WAYS:
+        for count in (units,) if units else WAYS[name][2]:
+            if here:
+                print(json.dumps(measured(name, count)))
+                continue
+            own = ("arrays", "--way", name, "--units", str(count), "--here")
+            said, cpu_s = timed(sys.executable, "-m", "studies", *own, threads=THREADS)
+            rows.append(json.loads(said) | {"CPU s, imports and all": cpu_s})
+            say(f"{name}, {count}: {rows[-1]['seconds']:.3g} s")
+    if not here:
+        report({"Array responses, everything included, nothing cached": rows}, Path(out, "arrays.json"))

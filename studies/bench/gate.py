@@ -1,13 +1,13 @@
-"""``python -m studies.bench.gate``: TriPillar, NGSolve and CalculiX as programs of their own, to the same true errors.
+"""``python -m studies gate``: TriPillar, NGSolve and CalculiX as programs of their own, to the same true errors.
 
 Processor seconds of the whole process, imports and all, and of the solve alone, on one thread; the programs take turns.
 TriPillar is asked for each error; of NGSolve and CalculiX the cheapest of the settings in `gate.json` whose true error
 meets it is run, chosen by hand for each scene (``--tune`` measures them anew). They state no error. `gate.json` holds
-scenes and truths, too: answers of TriPillar at 1e-4 or tighter, and how far the finest NGSolve is from them.
+scenes and truths, too: answers of TriPillar at 1e-4 or tighter, and how far the finest NGSolve is from them. The truth
+at finite strain is NGSolve's, by half of the block in Taylor-Hood hexahedra of third order, and right to 9e-5.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -20,21 +20,20 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from cyclopts import Parameter
 
+from common.errors import DesignError
 from common.storage.files import write_text
 from fem.scene.scene_file import scene_from_dict
 from fem.scene.solution import largest_error
-from studies.bench.peers import calculix, ngsolve_peer
-from studies.bench.reference import laid_out
-from studies.program import run_alone
-from studies.tables import Row, measured_on, report, shown
+from studies.bench.peers import calculix
+from studies.bench.processes import timed
+from studies.bench.reference import by_hand, laid_out, missing_ngsolve, write_scene
+from studies.tables import OUT, Folder, Row, report, shown
 from tripillar.terminal.entry import say
 
 GATE = Path(__file__).with_name("gate.json")
 LEVELS = (5e-2, 1e-2, 3e-3, 1e-3)  #: true errors that are asked for
 IMPORTS = "import numpy, scipy.sparse, skfem"  #: what any program on scikit-fem loads
-BY_HAND = Path(ngsolve_peer.__file__).with_name("ngsolve_by_hand.py")
 SLOW_S = 5.0  #: a run that takes longer is not repeated
-PATIENCE_S = 600.0  #: of the clock: others may use the machine, too
 #: a scene solved once, what it imports left out
 ALONE = """
 import sys, time
@@ -81,16 +80,6 @@ class Case(NamedTuple):
         return min(good, key=good.__getitem__, default=None)
 
 
-def timed(*command: str | Path) -> tuple[str, float]:
-    """What a program prints, and its processor seconds, on one thread and with an empty cache."""
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    with tempfile.TemporaryDirectory() as cache:
-        env, before = os.environ | threads | {"TRIPILLAR_CACHE": cache}, os.times()
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S, env=env)
-        after = os.times()
-    return done.stdout, sum(after[2:4]) - sum(before[2:4])
-
-
 def by_tripillar(case: Case, scene: Path, level: float) -> Ran:
     """`tripillar solve` at a tolerance, and the solve alone in a second process."""
     said, whole_s = timed(sys.executable, "-m", "tripillar", "solve", scene, "--json", "--tolerance", str(level))
@@ -101,8 +90,7 @@ def by_tripillar(case: Case, scene: Path, level: float) -> Ran:
 
 def by_ngsolve(case: Case, scene: Path, setting: str) -> Ran:
     """NGSolve's program at its flags."""
-    said, whole_s = timed(sys.executable, BY_HAND, scene, *setting.split())
-    found = json.loads(said)
+    found, whole_s = by_hand(scene, setting)
     return Ran(whole_s, found["seconds"], case.error(found["probes"]))
 
 
@@ -113,20 +101,9 @@ def by_calculix(case: Case, scene: Path, setting: str) -> Ran:
 
 
 PEERS: dict[str, tuple[Callable[[], str], Callable[[Case, Path, str], Ran]]] = {
-    "NGSolve": (ngsolve_peer.missing, by_ngsolve),
+    "NGSolve": (missing_ngsolve, by_ngsolve),
     "CalculiX": (calculix.missing, by_calculix),
 }
-
-
-def write_scene(table: dict[str, Any], path: Path) -> Path:
-    """Tables of a scene as a scene file."""
-    lines = []
-    for name, entries in table.items():
-        many = isinstance(entries, list)
-        for entry in entries if many else [entries]:
-            lines += [f"[[{name}]]" if many else f"[{name}]", *(f"{k} = {json.dumps(v)}" for k, v in entry.items())]
-    path.write_text("\n".join(lines), encoding="utf-8")
-    return path
 
 
 def alternated(runs: dict[str, Callable[[], Ran]], times: int) -> dict[str, Ran | None]:
@@ -187,42 +164,32 @@ def cases() -> dict[str, Case]:
     return {name: Case(**case) for name, case in json.loads(GATE.read_text(encoding="utf-8")).items()}
 
 
-def stored(found: dict[str, Case]) -> str:
-    """The text of `gate.json`."""
-    return laid_out({name: case._asdict() for name, case in found.items()})
-
-
 def gate(
-    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/gate.json"),
+    out: Folder = OUT,
     scene: Annotated[list[str] | None, Parameter(help="Scene to run; may be given again.")] = None,
     times: Annotated[int, Parameter(help="Runs of each program, of which the median counts.")] = 3,
     tune: Annotated[bool, Parameter(name="--tune", help="Measure the peers' settings anew and store them.")] = False,
 ) -> None:
     """Race TriPillar, NGSolve and CalculiX on the scenes of the gate; a program that is missing is skipped."""
-    peers = []
-    for peer, (missing, _) in PEERS.items():
-        if missing():
-            say(f"{peer}: skipped, {missing()}")
-        else:
-            peers.append(peer)
-    every = cases()
+    absent = {peer: why for peer, (missing, _) in PEERS.items() if (why := missing())}
+    for peer, why in absent.items():
+        say(f"{peer}: skipped, {why}")
+    peers, every = [peer for peer in PEERS if peer not in absent], cases()
+    for name in scene or ():
+        if name not in every:
+            raise DesignError(f"no scene '{name}' in the gate: choose {', '.join(every)}.")
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for name in scene or every:
             if tune:
                 every[name] = tuned(name, every[name], Path(folder), peers)
-                write_text(stored(every), GATE)
+                write_text(laid_out({one: case._asdict() for one, case in every.items()}), GATE)
             else:
                 rows += raced(name, every[name], Path(folder), peers, times)
     if rows:
         imports = [timed(sys.executable, "-c", IMPORTS)[1] for _ in range(times)]
-        about = measured_on(("numpy", "scipy", "scikit-fem", "pypardiso", "ngsolve")) | {"times": times}
         tables: dict[str, list[Row]] = {
             "Processor seconds to true errors": rows,
             IMPORTS: [{"whole [s]": median(imports)}],
         }
-        report(tables, out, about)
-
-
-if __name__ == "__main__":
-    run_alone(gate)
+        report(tables, out / "gate.json", {"times": times})

@@ -1,46 +1,33 @@
-"""Speed and accuracy from a board to forces: crosstalk, recorded frames, live scans.
+"""``python -m studies hardware``: speed and accuracy from a board to forces: crosstalk, recorded frames.
 
-`python -m studies.bench.hardware` prints three tables; `make bench` runs it. The sensor is the paper's, pressed and
-slid over by a round indenter.
+The sensor is the paper's, pressed and slid over by a round indenter.
 """
 
 import time
 from collections.abc import Callable
-from multiprocessing import get_context
-from pathlib import Path
+from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from decoupler.model.decoupler import Decoupler
 from geometry.design import SensorDesign
-from hardware.boards.python_board import PythonBoard, a_frame
+from hardware.boards.python_board import a_frame
 from hardware.boards.simavr_board import CHIP_BITS
-from hardware.boards.simulated import STEP_S, Motion, PressAndSlide, press_and_slide
-from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode, encode
-from hardware.link.scanner import Scanner
-from hardware.readout.calibration import Electronics, SensorCalibration
+from hardware.boards.simulated import Motion, PressAndSlide, press_and_slide
+from hardware.link.frames import Frame, FrameDecoder, ScanMode, encode
+from hardware.readout.calibration import Electronics
 from hardware.readout.crossbar import SUITED_SENSE_OHM, Corrector, Crossbar
-from hardware.readout.forces import ForceReader, LiveSensor
-from hardware.session import milliseconds, scans_within
+from hardware.readout.forces import ForceReader
 from studies.paper_sensor import board_info, joint_net
-from studies.program import run_alone
-from studies.tables import measured_on, report
+from studies.tables import OUT, Folder, report
 from tripillar.pipeline.stage import respond
 from tripillar.terminal.progress import Bars
 
 PERIODS = 5  #: of the motion in the recording
 WARM_UP = 20  #: first live scans, not counted: the correction's first Jacobian, caches
-TITLES = {
-    "crosstalk": "Crosstalk of the read-outs, errors in % of a resistance, times of a scan in µs",
-    "forces": f"What it costs in forces, {CHIP_BITS} bits, switches of 25 Ω: root mean square errors",
-    "mistaken": "Switches of 30 Ω taken for 25 Ω: what is left of a resistance's error, exact readings",
-    "offline": "A recorded frame to forces, many together",
-    "live": "A board in a process of its own: last byte read, or sent, to forces [ms]",
-}
 
 
 def _us(compute: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
@@ -107,70 +94,29 @@ def offline(motion: Motion, model: Decoupler, mode: ScanMode) -> dict[str, float
     return parts | {"frames_per_s": 1e6 / sum(parts.values())}
 
 
-def live(motion: Motion, model: Decoupler, mode: ScanMode, rate_hz: int, seconds: float) -> dict[str, Any]:
-    """Latency from a frame's last byte to forces: from when it was read, and from when another process sent it."""
-    info = board_info(mode, rate_hz)
-    counts = Electronics().crossbar(info).counts(motion.resistance_ohm)
-    context = get_context("spawn")
-    here, there = context.Pipe()
-    sender = context.Process(target=_send, args=(there, counts, info), daemon=True)
-    sender.start()
-    with Scanner(here.recv()) as scanner:
-        reading = LiveSensor(scanner, model, SensorCalibration.as_designed(info.rows, info.cols))
-        done_at = {}
-        for scan in scans_within(scanner, seconds):
-            if scan is not None:
-                reading.forces(scan)
-                done_at[scan.frame.sequence] = time.perf_counter(), scan.received_s
-        statistics = scanner.stats
-    here.send("stop")
-    sent_at = dict(here.recv())
-    sender.join()
-    done = list(done_at.items())[WARM_UP:]
-    from_read = milliseconds(np.array([done_s - received_s for _, (done_s, received_s) in done]))
-    from_sent = milliseconds(np.array([done_s - sent_at[sequence] for sequence, (done_s, _) in done]))
-    return {
-        "mode": mode.name, "Hz": rate_hz, "scans": len(done), "lost": statistics.lost,
-    } | {
-        f"{name} {value}": ms
-        for name, latency in {"read": from_read, "sent": from_sent}.items()
-        for value, ms in latency.items()
-    }  # fmt: skip
-
-
-def _send(connection: Any, counts: NDArray[np.int64], info: Info) -> None:
-    """Be a board until told to stop; then tell when each frame was sent, by the clock that all processes share."""
-    with PythonBoard(counts, info, step_s=STEP_S) as board:
-        connection.send(board.port)
-        connection.recv()
-        connection.send(list(board.sent))
-
-
-def bench(
-    out: Annotated[Path, Parameter(help="JSON file to write.")] = Path("out/bench/hardware.json"),
-    seconds: Annotated[float, Parameter(help="Time of each live measurement [s].")] = 20.0,
+def hardware(
+    out: Folder = OUT,
+    every: Annotated[int, Parameter(help="Take one in so many scans of the motion.")] = 1,
 ) -> None:
-    """Measure crosstalk and its correction, recorded frames to forces, live scans to forces."""
+    """Measure crosstalk and its correction, and recorded frames to forces; `tripillar info` measures live ones."""
+    modes, switches_ohm, converters = tuple(SUITED_SENSE_OHM), (25.0, 100.0), (10, 12, 16)
     with Bars(quiet=False) as bars, threadpool_limits(1, "blas"):
         _, response = respond(SensorDesign(), bars)
-        motion = press_and_slide(response, PressAndSlide())
+        whole = press_and_slide(response, PressAndSlide())
+        motion = Motion(resistance_ohm=whole.resistance_ohm[::every], force_n=whole.force_n[::every])
         model = joint_net(response)
-        found = {
-            "crosstalk": [
-                crosstalk(motion, mode, switch_ohm, bits)
-                for mode in SUITED_SENSE_OHM
-                for switch_ohm in (25.0, 100.0)
-                for bits in (10, 12, 16)
+        tables = {
+            "Crosstalk of the read-outs, errors in % of a resistance, times of a scan in µs": [
+                crosstalk(motion, *settings) for settings in product(modes, switches_ohm, converters)
             ],
-            "forces": [forces_by(motion, model, mode) for mode in SUITED_SENSE_OHM],
-            "mistaken": [mistaken(motion, mode) for mode in SUITED_SENSE_OHM],
-            "offline": [{"mode": mode.name} | offline(motion, model, mode) for mode in SUITED_SENSE_OHM],
-            "live": [
-                live(motion, model, mode, rate_hz, seconds) for mode in SUITED_SENSE_OHM for rate_hz in (150, 500)
+            f"What it costs in forces, {CHIP_BITS} bits, switches of 25 Ω: root mean square errors": [
+                forces_by(motion, model, mode) for mode in modes
+            ],
+            "Switches of 30 Ω taken for 25 Ω: what is left of a resistance's error, exact readings": [
+                mistaken(motion, mode) for mode in modes
+            ],
+            "A recorded frame to forces, many together": [
+                {"mode": mode.name} | offline(motion, model, mode) for mode in modes
             ],
         }
-    report({TITLES[name]: rows for name, rows in found.items()}, out, measured_on(("numpy", "torch")))
-
-
-if __name__ == "__main__":
-    run_alone(bench)
+    report(tables, out / "hardware.json")

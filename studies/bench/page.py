@@ -1,21 +1,18 @@
-"""Response times of the page: `python -m studies.bench.page`, in headless Chromium on this machine.
+"""``python -m studies page``: response times of the page, in headless Chromium on this machine.
 
 The pressure slider moves by one step; measured are the times until the browser shows the new numbers and
 until it shows a new picture, and what the server says that it took to compute and to draw.
 """
 
-import json
 import os
 import re
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
 
-from common.storage.files import write_text
 from studies.pictures.page import page_in_chromium
-from studies.program import run_alone
+from studies.tables import OUT, Folder, report
 
 WARM_UP, STEPS = 4, 30
 #: moves the slider once; gives the times [ms] until numbers and picture are new, and what the server says
@@ -38,26 +35,24 @@ STEP = """async () => {
 }"""
 
 
-def measure(
-    out: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
-    width: Annotated[int, Parameter(help="Size of the browser's window [px].")] = 1280,
-    height: Annotated[int, Parameter(help="Size of the browser's window [px].")] = 800,
+def page(
+    out: Folder = OUT,
+    width: Annotated[int, Parameter(help="Width of the browser's window [px].")] = 1280,
+    height: Annotated[int, Parameter(help="Height of the browser's window [px].")] = 800,
 ) -> None:
-    """Measure and print one JSON object."""
+    """Measure times from a step of the slider [ms]."""
     load = os.getloadavg()[0]
-    with page_in_chromium(size=(width, height)) as page:
-        page.wait_for_timeout(2000)
-        steps = [page.evaluate(STEP) for _ in range(WARM_UP + STEPS)][WARM_UP:]
+    with page_in_chromium(size=(width, height)) as shown:
+        shown.wait_for_timeout(2000)
+        steps = [shown.evaluate(STEP) for _ in range(WARM_UP + STEPS)][WARM_UP:]
     server = np.array([[float(number) for number in re.findall(r"(\d+) ms", said)] for *_, said in steps])
-    names = ("to_numbers_ms", "to_picture_ms", "server_computes_ms", "server_draws_ms")
-    columns = [*np.array([step[:2] for step in steps], dtype=float).T, *server.T]
-    found: dict[str, Any] = {"window_px": [width, height], "steps": STEPS, "load_before": load}
-    for name, values in zip(names, columns, strict=True):
-        found[name] = {"median": float(np.median(values)), "p90": float(np.percentile(values, 90))}
-    print(json.dumps(found, indent=2))
-    if out is not None:
-        write_text(json.dumps(found, indent=2) + "\n", out)
-
-
-if __name__ == "__main__":
-    run_alone(measure)
+    columns = zip(
+        ("until new numbers", "until a new picture", "the server computes", "the server draws"),
+        [*np.array([step[:2] for step in steps], dtype=float).T, *server.T],
+        strict=True,
+    )
+    rows = [
+        {"time [ms]": name, "median": float(np.median(values)), "90 %": float(np.percentile(values, 90))}
+        for name, values in columns
+    ]
+    report({f"{STEPS} steps of the slider, {width} × {height} px": rows}, out / "page.json", {"load before": load})

@@ -1,125 +1,119 @@
-"""Converged answers of the benchmark's scenes, by NGSolve alone, stored with how they were made.
+"""``python -m studies references [NAME ...]``: converged answers of the benchmark's scenes, by NGSolve alone.
 
-``python -m studies.bench.reference [NAME ...]`` solves the named scenes (default: all) anew by NGSolve's hp-refined
-elements of high order and writes `references.json`. Nothing in `fem` solves that way. Each is solved three times: as
-fine as `GRADINGS` says, which is the reference, with an order less, and on a coarser mesh. The larger distance of the
-two from the first is the reference's uncertainty.
+`references.json` keeps scenes, answers, and how these were made. Nothing in `fem` solves as `peers/ngsolve_by_hand.py`
+does: netgen's tetrahedra, refined geometrically toward singular edges, functions of high order, NGSolve's own factors.
+Each scene is solved three times: on a coarser mesh, with an order less, and as the reference. The larger distance of
+the two from the last is the reference's uncertainty.
 """
 
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, replace
+from importlib.util import find_spec
 from pathlib import Path
-from time import process_time
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from common.errors import DesignError
 from common.storage.files import write_text
-from fem.scene.scene import Scene
+from fem.scene.scene import Scene, Sensor
+from fem.scene.scene_file import scene_from_dict
 from fem.scene.solution import relative_errors
 from geometry.layout import FloatArray
-from studies.bench.peers.ngsolve_peer import Grading, solve_references
-from studies.bench.scenes import FINITE, FINITE_REFERENCE, all_scenes
+from studies.bench.processes import timed
+from tripillar.terminal.entry import say
 
 REFERENCES = Path(__file__).with_name("references.json")
-METHOD = (
-    "NGSolve: netgen's tetrahedra, hp-refined geometrically toward singular edges into prisms, pyramids and hexahedra; "
-    "hierarchical functions of high order, fully integrated; what lies inside elements is eliminated; sparse Cholesky "
-    "factors with refinement to a relative residual of 1e-8. The last run gives the values; how far those of an order "
-    "less and of a coarser mesh lie from it, the uncertainty."
-)
-GRADINGS: dict[tuple[str, ...], Grading] = {  #: how names of scenes begin → the finest run
-    ("block",): Grading(order=6, levels=2, ratio=0.15, largest_mm=8.0, edge_mm=5.0),
-    ("pillar-upright",): Grading(order=6, levels=4, ratio=0.2, largest_mm=2.0, edge_mm=2.0, edges=("base",)),
-    ("pillar-oblique", "leaning-56", "sheared-pillar"): Grading(
-        order=6, levels=3, ratio=0.2, largest_mm=1.5, edge_mm=1.5, edges=("base",)
-    ),
-    ("slab-12", "response"): Grading(order=6, levels=1, ratio=0.15, largest_mm=10.0, edge_mm=4.0),
-    ("slab-4",): Grading(order=6, levels=1, ratio=0.15, largest_mm=10.0, edge_mm=2.0),
-    ("plate",): Grading(order=5, levels=2, ratio=0.15, largest_mm=2.0, edge_mm=1.0),
-    ("void", "side-inclusion"): Grading(order=6, levels=1, ratio=0.15, largest_mm=6.0, edge_mm=4.0),
-    ("two-inclusions",): Grading(order=5, levels=1, ratio=0.15, largest_mm=8.0, edge_mm=4.0),
-}
+BY_HAND = Path(__file__).with_name("peers") / "ngsolve_by_hand.py"
 
 
 def stored_references() -> dict[str, Any]:
-    """Every stored entry by scene: probes [mm], energy_mj, uncertainties (relative) and runs."""
+    """Every entry by scene: its table of a scene file, probes [mm], uncertainties (relative) and runs."""
     stored: dict[str, Any] = json.loads(REFERENCES.read_text(encoding="utf-8"))["scenes"]
     return stored
 
 
+def reference_scene(name: str) -> Scene:
+    """The scene of an entry."""
+    return scene_from_dict(stored_references()[name]["table"], name)
+
+
 def reference_probes(name: str) -> dict[str, FloatArray]:
-    """Displacement of each probe of a scene that has a reference, shape (3,) [mm]."""
-    if name == FINITE:
-        return {"patch": np.array(FINITE_REFERENCE["patch_mm"]["ours"])}
+    """Displacement of each probe of an entry, shape (3,) [mm]."""
     return {probe: np.array(u) for probe, u in stored_references()[name]["probes"].items()}
 
 
-def make_references(scenes: dict[str, Scene], finest: Grading) -> dict[str, dict[str, Any]]:
-    """Entries in the file of references, of scenes that differ in loads and probes only."""
-    runs, answers = [], []
-    for grading in (coarser(finest), replace(finest, order=finest.order - 1), finest):
-        start = process_time()
-        answers.append(solve_references(list(scenes.values()), grading))
-        runs.append(asdict(grading) | {"cpu_seconds": round(process_time() - start, 1)})
-    entries = {}
-    for name, *others, best in zip(scenes, *answers, strict=True):
-        apart = [distances(other.probes, best.probes) for other in others]
-        entries[name] = {
-            "probes": {probe: [float(f"{x:.9g}") for x in u] for probe, u in best.probes.items()},
-            "energy_mj": float(f"{best.energy_mj:.9g}"),
-            "uncertainties": {probe: max(distance[probe] for distance in apart) for probe in best.probes},
-            "runs": [
-                run | {"unknowns": one.unknowns, "elements": one.elements, "energy_mj": float(f"{one.energy_mj:.9g}")}
-                for run, one in zip(runs, (*others, best), strict=True)
-            ],
-        }
-    return entries
+def missing_ngsolve() -> str:
+    """The wheel, where it is not installed."""
+    return "" if find_spec("ngsolve") else "ngsolve is not installed (pip install 'tripillar[bench]')"
 
 
-def coarser(grading: Grading) -> Grading:
-    """Elements a quarter wider, and a level less where there are two or more."""
-    largest_mm, edge_mm = 1.25 * grading.largest_mm, 1.25 * grading.edge_mm
-    levels = grading.levels - 1 if grading.levels > 1 else grading.levels
-    return replace(grading, levels=levels, largest_mm=largest_mm, edge_mm=edge_mm)
+def by_hand(scene: Path, flags: str) -> tuple[dict[str, Any], float]:
+    """What NGSolve's program finds in a scene file at its flags, and processor seconds of the whole of it."""
+    said, seconds = timed(sys.executable, BY_HAND, scene, *flags.split())
+    return json.loads(said), seconds
 
 
-def distances(probes: dict[str, FloatArray], reference: dict[str, FloatArray]) -> dict[str, float]:
-    """Relative distance of each probe from its reference, to two digits."""
-    errors = relative_errors({name: probes[name] - u for name, u in reference.items()}, reference)
-    return {name: float(f"{error:.2g}") for name, error in errors.items()}
+def solved_anew(name: str, entry: dict[str, Any]) -> dict[str, Any]:
+    """An entry whose runs are all done again."""
+    scene, runs, probes = scene_from_dict(entry["table"], name), [], []
+    narrow_mm = min(min(load.size_mm) for load in scene.loads)
+    with TemporaryDirectory() as folder:
+        file = write_scene(_as_prism(entry["table"], scene), Path(folder, "scene.toml"))
+        for run in entry["runs"]:
+            fine, edge = scene.height_mm / run["largest_mm"], run["edge_mm"] / narrow_mm
+            flags = f"--order {run['order']} --hp {run['levels']} --ratio {run['ratio']} --fine {fine} --edge {edge}"
+            found, seconds = by_hand(file, f"{flags} --singular {','.join(run['edges'])} --grading 0.5 --gauss 8")
+            probes.append({probe: np.array(u) for probe, u in found["probes"].items()})
+            sizes = {"unknowns": found["dofs"], "elements": found["elements"]}
+            runs.append(run | {"cpu_seconds": round(seconds, 1)} | sizes)
+    *others, best = probes
+    apart = [relative_errors({probe: other[probe] - u for probe, u in best.items()}, best) for other in others]
+    return entry | {
+        "probes": {probe: [float(f"{x:.9g}") for x in u] for probe, u in best.items()},
+        "uncertainties": {probe: float(f"{max(each[probe] for each in apart):.2g}") for probe in best},
+        "runs": runs,
+    }
 
 
-def solved_together(names: Iterable[str]) -> Iterator[tuple[dict[str, Scene], Grading]]:
-    """The named scenes by body, materials and grading."""
-    scenes = all_scenes()
-    groups: dict[tuple[Grading, str], dict[str, Scene]] = {}
-    for name in names:
-        finest = next(grading for beginnings, grading in GRADINGS.items() if name.startswith(beginnings))
-        body = repr((scenes[name].body, scenes[name].material, scenes[name].inclusions))
-        groups.setdefault((finest, body), {})[name] = scenes[name]
-    for (finest, _), group in groups.items():
-        yield group, finest
+def _as_prism(table: dict[str, Any], scene: Scene) -> dict[str, Any]:
+    """Tables in which an array of one rubber is the prism of its outline, which NGSolve's program takes."""
+    if not isinstance(scene.body, Sensor):
+        return table
+    outline = {name: list(getattr(scene.outline, name)) for name in ("base_mm", "top_mm", "section_mm")}
+    material = {"young_mpa": scene.material.young_mpa, "poisson": scene.material.poisson}
+    return table | {"body": {"kind": "pillar"} | outline, "material": material}
 
 
-def main(names: list[str]) -> None:
-    """Solve the named scenes, or all, and store each as soon as it is known."""
-    for group, finest in solved_together(names or all_scenes()):
-        entries = make_references(group, finest)
-        stored = stored_references() | entries
-        write_text(laid_out({"method": METHOD, "scenes": stored}), REFERENCES)
-        for name, entry in entries.items():
-            print(f"{name}: uncertain by {max(entry['uncertainties'].values()):g}", flush=True)
+def write_scene(table: dict[str, Any], path: Path) -> Path:
+    """Tables of a scene as a scene file."""
+    lines = []
+    for name, entries in table.items():
+        many = isinstance(entries, list)
+        for entry in entries if many else [entries]:
+            lines += [f"[[{name}]]" if many else f"[{name}]", *(f"{k} = {json.dumps(v)}" for k, v in entry.items())]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def references(*names: str) -> None:
+    """Solve the named scenes, or all, anew and store each as soon as it is known."""
+    if missing_ngsolve():
+        raise DesignError(missing_ngsolve())
+    whole = json.loads(REFERENCES.read_text(encoding="utf-8"))
+    for name in names or whole["scenes"]:
+        if name not in whole["scenes"]:
+            raise DesignError(f"no scene '{name}': choose {', '.join(whole['scenes'])}.")
+        whole["scenes"][name] = entry = solved_anew(name, whole["scenes"][name])
+        write_text(laid_out(whole), REFERENCES)
+        say(f"{name}: uncertain by {max(entry['uncertainties'].values()):g}")
 
 
 def laid_out(values: dict[str, Any]) -> str:
-    """JSON with a line for each list of numbers."""
+    """JSON with a line for each list of numbers and each table without tables."""
     text = json.dumps(values, indent=1, ensure_ascii=False)
-    return re.sub(r"\[[^\[\]{}]*\]", lambda found: re.sub(r"\s+", " ", found[0]), text) + "\n"
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    for innermost in (r"\[[^\[\]{}]*\]", r"\{[^{}]*\}"):
+        text = re.sub(innermost, lambda found: re.sub(r"\s+", " ", found[0]), text)
+    return text + "\n"

@@ -1,35 +1,29 @@
-"""``python -m studies.bench.training``: training time against error of every trainer on one network."""
+"""``python -m studies training``: training time against error of every trainer on one network, on one thread."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
-from pathlib import Path
-from statistics import median
+from dataclasses import dataclass, replace
 from time import process_time
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from common.threads import one_blas_thread
 from dataset import DatasetSettings, Samples, simulate
 from decoupler import Decoupler, NetworkConfig, TrainingConfig, evaluate, train
-from decoupler.model.settings import Net, Trainer
-from decoupler.model_file import arrays_of
+from decoupler.model.settings import Trainer
 from fem.array.response import ArrayResponse
-from fem.array.solving import ResponseSettings, array_response
-from geometry.design import Array, SensorDesign
-from studies.bench.harness import Contender, Found, Settings, draw_records, goal_rows, run_contenders
-from studies.memory import peak_mib
-from studies.program import run_alone
-from studies.tables import measured_on, report
+from fem.array.solving import array_response
+from geometry.design import SensorDesign
+from studies.tables import OUT, Folder, Row, report
+from tripillar.terminal.entry import say
 
 MIN_GAIN = 1e-3  #: in 10 iterations (momentum: 500); below it ours give up
 ENOUGH = 10**9  #: iterations: time or goal comes first
-WARM_UP = 8  #: samples of the training that warms a contender up
-TEST_SAMPLES = 200
-MSE = "mean squared error of the scaled training outputs"
-PACKAGES = ("numpy", "torch")
+WARM_UP = 8  #: samples of the training that warms a trainer up
+GOAL_MSE = 1e-6  #: at which a training ends
 GOALS = (1e-3, 1e-4, 1e-5)  #: mean squared errors whose time is told
-SPARE_S = 60.0  #: beyond ten times its patience: for imports, a step that cannot be interrupted, a busy machine
+PROTOCOL, SAMPLES, TEST_SAMPLES = "contact-fz", 2000, 200
+NETWORK = NetworkConfig(hidden=17, net="skip", feature="root")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +33,7 @@ class Problem:
     data: Samples
     component: str
     network: NetworkConfig
-    seed: int = 0
-    response: ArrayResponse | None = None  #: of the sensor, for whom it concerns
-
-    def first(self, samples: int) -> "Problem":
-        """The same with the first samples only."""
-        return replace(self, data=self.data[:samples])
+    response: ArrayResponse  #: of the sensor, for whom it concerns
 
 
 class Ended(Exception):
@@ -54,12 +43,7 @@ class Ended(Exception):
 class Trace:
     """Hand `record` to a training as its progress: the clock, of processor time, starts when this is made.
 
-    Parameters
-    ----------
-    goal_mse : float
-        Mean squared error of the scaled outputs at which a training is ended.
-    patience_s : float
-        Time after which it is.
+    A training is ended at a mean squared error of the scaled outputs, or after some time.
     """
 
     def __init__(self, goal_mse: float, patience_s: float) -> None:
@@ -76,73 +60,12 @@ class Trace:
         if seconds > self.patience_s:
             raise Ended("time")
 
-    def seconds_per_iteration(self) -> float | None:
-        """Median over the recorded iterations; None before the first has ended."""
-        steps = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(self.points) if b[0] > a[0]]
-        return median(steps) if steps else None
-
-    def thinned(self) -> list[tuple[int, float, float]]:
-        """Points at least 1 % of the time apart, and the last: as many as a picture can show."""
-        kept = self.points[:1]
-        for point in self.points[1:]:
-            if point[1] >= 1.01 * kept[-1][1] or point is self.points[-1]:
-                kept.append(point)
-        return kept
+    def seconds_to(self, goal_mse: float) -> float | None:
+        """Time to an error; None if it was not reached."""
+        return next((seconds for _, seconds, mse in self.points if mse <= goal_mse), None)
 
 
 Train = Callable[[Problem, Trace], tuple[Decoupler, str]]  #: gives the trained network and why it stopped
-
-
-@dataclass(frozen=True, kw_only=True)
-class Race:
-    """Samples, and the network to be trained on them."""
-
-    protocol: str
-    component: str
-    net: Net
-    hidden: int
-    samples: int
-    goal_mse: float = 1e-6
-    patience_s: float = 60.0
-    rows: int = 6  #: units a side
-    method: str = "cells"  #: of the response
-
-    def data(self) -> tuple[Problem, Samples]:
-        """The training problem and the test samples; the response comes from the cache."""
-        design = SensorDesign(array=Array(rows=self.rows, cols=self.rows))
-        response, *_ = array_response(design, ResponseSettings(method=self.method))  # type: ignore[arg-type]
-        trained_on, tested_on = (
-            simulate(response, DatasetSettings(protocol=self.protocol, samples=n, seed=seed)).labels()
-            for n, seed in ((self.samples, 1), (TEST_SAMPLES, 2))
-        )
-        network = NetworkConfig(hidden=self.hidden, net=self.net, feature="root")
-        return Problem(data=trained_on, component=self.component, network=network, response=response), tested_on
-
-
-def measure(contender: Contender, case: dict, _: None) -> Found:
-    """Train after a warm-up, and judge the network on the test samples."""
-    race = Race(**case)
-    problem, tested_on = race.data()
-    for _warm in range(2):  # what the first warm-up loads as it goes, the second finds there
-        contender.solve(problem.first(WARM_UP), Trace(0.0, 0.1))
-    before = peak_mib()
-    trace = Trace(race.goal_mse, race.patience_s)
-    decoupler, reason = contender.solve(problem, trace)
-    grown_mib = peak_mib() - before
-    (errors,) = evaluate(decoupler, tested_on).values()
-    iterations, seconds, mse = trace.points[-1]
-    return Found(
-        errors={MSE: mse} | ({} if errors.rel_err is None else {"eq. 17, test samples": errors.rel_err}),
-        size=sum(values.size for _, values in arrays_of(decoupler.network)),
-        steps={"training": seconds},
-        notes={
-            "steps": iterations,
-            "a step [s]": trace.seconds_per_iteration(),
-            "MiB of training": grown_mib,
-            "stopped by": reason,
-        },
-        trace=[(seconds, mse) for _, seconds, mse in trace.thinned()],
-    )
 
 
 def by_ours(trainer: Trainer, known: bool = False) -> Train:
@@ -150,7 +73,7 @@ def by_ours(trainer: Trainer, known: bool = False) -> Train:
 
     def run(problem: Problem, trace: Trace) -> tuple[Decoupler, str]:
         config = TrainingConfig(
-            trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=MIN_GAIN, seed=problem.seed, held_out=0.0
+            trainer=trainer, goal_mse=0.0, max_iterations=ENOUGH, least_gain=MIN_GAIN, seed=0, held_out=0.0
         )
         network = replace(problem.network, net="skip", feature="inverse") if known else problem.network
         asked, response = (problem.data, problem.component, network), problem.response
@@ -165,34 +88,42 @@ def by_ours(trainer: Trainer, known: bool = False) -> Train:
 
 
 KNOWN = "VarPro, skip net from the response"
-CONTENDERS = [
-    Contender(name=name, family=name, solve=solve)
-    for name, solve in (
-        (KNOWN, by_ours("varpro", known=True)),
-        ("VarPro", by_ours("varpro")),
-        ("structured LM", by_ours("lm")),
-        ("momentum (eq. 15)", by_ours("momentum")),
-    )
-]
+TRAINERS: dict[str, Train] = {
+    KNOWN: by_ours("varpro", known=True),
+    "VarPro": by_ours("varpro"),
+    "structured LM": by_ours("lm"),
+    "momentum (eq. 15)": by_ours("momentum"),
+}
 
 
-def bench(
-    out: Annotated[Path, Parameter(help="Folder for JSON and picture.")] = Path("out/bench"),
+def row_of(name: str, problem: Problem, tested_on: Samples, patience_s: float) -> Row:
+    """Train after a warm-up, and judge the network on the test samples."""
+    for _ in range(2):  # what the first warm-up loads as it goes, the second finds there
+        TRAINERS[name](replace(problem, data=problem.data[:WARM_UP]), Trace(0.0, 0.1))
+    trace = Trace(GOAL_MSE, patience_s)
+    decoupler, reason = TRAINERS[name](problem, trace)
+    (errors,) = evaluate(decoupler, tested_on).values()
+    iterations, seconds, mse = trace.points[-1]
+    row = {"trainer": name} | {f"to mse {goal:g} [s]": trace.seconds_to(goal) for goal in GOALS}
+    ended = {"mse": mse, "seconds": seconds, "iterations": iterations, "stopped by": reason}
+    say(f"{name}: {mse:.1e} in {seconds:.3g} s, {reason}")
+    return row | {"test error, eq. 17": errors.rel_err} | ended
+
+
+@one_blas_thread()
+def training(
+    out: Folder = OUT,
     patience: Annotated[float, Parameter(help="Processor seconds after which a training is stopped.")] = 30.0,
-    only: Annotated[list[str] | None, Parameter(help="Word: run contenders whose name holds it.")] = None,
+    only: Annotated[list[str] | None, Parameter(help="Word: run trainers whose name holds it.")] = None,
+    samples: Annotated[int, Parameter(help="Training samples.")] = SAMPLES,
 ) -> None:
-    """Train a skip net of 17 nodes on pressed pads by every contender; what is not installed is skipped with a word."""
-    race = Race(protocol="contact-fz", component="fz", net="skip", hidden=17, samples=2000, patience_s=patience)
-    chosen = [one for one in CONTENDERS if not only or any(word in one.name for word in only)]
-    settings = Settings(runs=1, threads=1, patience_s=10 * patience + SPARE_S, own_cache=False)
-    race.data()  # which puts the response into the cache
-    found = run_contenders("studies.bench.training", "race", asdict(race), chosen, settings)
-    title = f"{race.samples} samples of {race.protocol}, {race.net} net of {race.hidden} nodes, one thread"
-    picture = out / "training-race.png"
-    draw_records(f"Training time against error: {title}", found, MSE, picture)
-    tables = {title: [one.cells for one in found], "Fastest to an error": goal_rows(found, MSE, GOALS)}
-    report(tables, out / "training.json", measured_on(PACKAGES) | asdict(race), [picture])
-
-
-if __name__ == "__main__":
-    run_alone(bench)
+    """Train a skip net of 17 nodes on pressed pads by every trainer."""
+    response = array_response(SensorDesign())[0]
+    trained_on, tested_on = (
+        simulate(response, DatasetSettings(protocol=PROTOCOL, samples=n, seed=seed)).labels()
+        for n, seed in ((samples, 1), (TEST_SAMPLES, 2))
+    )
+    problem = Problem(data=trained_on, component="fz", network=NETWORK, response=response)
+    chosen = [name for name in TRAINERS if not only or any(word in name for word in only)]
+    title = f"{samples} samples of {PROTOCOL}, {NETWORK.net} net of {NETWORK.hidden} nodes"
+    report({title: [row_of(name, problem, tested_on, patience) for name in chosen]}, out / "training.json")

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
 
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.response import ArrayResponse
@@ -14,7 +13,7 @@ from fem.pictures.deformation import DeformedPicture
 from fem.pictures.parts import sensor_parts
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
-from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, finish, new_figure, save, save_small
+from studies.charts import BLACK, BLUE, GREEN, ORANGE, PURPLE, finish, new_figure, save, save_screen
 from studies.paper import spacing
 from studies.paper.deformation import one_pad
 from studies.paper.experiments import COMPONENTS, FIGURE_9, FLOOR, INFORMED, LOADS, PAPERS, SKIP, TABLE_2
@@ -45,22 +44,14 @@ def draw_figure_7(design: SensorDesign, path: Path) -> None:
     loads = {f"{pressure:g} MPa": one_pad(nine, pressure) for pressure in PRESSURES_MPA}
     panels = {name: sensor_parts(field, field.state(traction), stress=False) for name, traction in loads.items()}
     picture = DeformedPicture(panels, columns=1)
-    save_small(Image.fromarray(picture.plotter.screenshot(return_img=True)), path)
-    picture.plotter.close()
+    save_screen(picture, path)
 
 
 def draw_electrode_grid(response: ArrayResponse, traction_mpa: FloatArray | None, path: Path) -> None:
     """Write a PNG of the grid of each unit's first upper electrode, as the paper's figures 6 and 8.
 
-    Circles are the electrodes at rest; loaded, a net joins where they have moved to, coloured by how far.
-
-    Parameters
-    ----------
-    response : ArrayResponse
-    traction_mpa : array, shape (n_units, 3), optional
-        Traction on each pad, z negative pushing down [MPa]; None: the grid at rest (figure 6).
-    path : Path
-        PNG file to write.
+    Circles are the electrodes at rest; a net joins where tractions (n_units, 3) [MPa] on the pads, if there are any,
+    have moved them to, coloured by how far.
     """
     design = response.design
     shape = (design.array.rows, design.array.cols, 3)

@@ -1,17 +1,9 @@
-"""The errors of the paper's experiments by trial, and files of results that state what they were computed from."""
+"""The errors of the paper's experiments by trial."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, is_dataclass
-from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-
-from common.storage.files import write_text
-from common.storage.seal import opened_json, say_made_anew, sealed_json
-
-T = TypeVar("T")
-KEY = "recipe"  #: entry of the file that holds the cache key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +26,7 @@ class Result:
 
     trial: ResultKey
     rel_err: float  #: eq. 17, as a fraction
-    rmse_n: float
-    iterations: int = 0
     reason: str = ""  #: why training stopped
-    seconds: float = 0.0  #: of training
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +48,9 @@ class ShownForces:
     loads: str
     network: str
     hidden: int
-    samples: list[int]  #: their numbers
-    actual_n: list[float]  #: unit by unit, sample after sample
-    decoupled_n: list[float]
+    samples: tuple[int, ...]  #: their numbers
+    actual_n: tuple[float, ...]  #: unit by unit, sample after sample
+    decoupled_n: tuple[float, ...]
 
     @property
     def percent(self) -> float:
@@ -74,9 +63,9 @@ class ShownForces:
 class Results:
     """All errors of the experiments."""
 
-    data_sets: list[DataSet]
-    results: list[Result]
-    shown: list[ShownForces]
+    data_sets: tuple[DataSet, ...]
+    results: tuple[Result, ...]
+    shown: tuple[ShownForces, ...]
 
     def chosen(self, **wanted: Any) -> list[Result]:
         """Results whose trial has the wanted values."""
@@ -86,39 +75,3 @@ class Results:
         """Mean relative error of the chosen results [%]; NaN if there are none."""
         chosen = self.chosen(**wanted)
         return 100 * float(np.mean([one.rel_err for one in chosen])) if chosen else float("nan")
-
-
-def kept(path: Path, cache_key: str, kind: type[T], make: Callable[[], T]) -> tuple[T, bool]:
-    """The results in a file with this cache key, else new ones, written there; and whether they are new."""
-    found = read_results(path, cache_key, kind)
-    if found is not None:
-        return found, False
-    made = make()
-    write_results(made, cache_key, path)
-    return made, True
-
-
-def write_results(found: Any, cache_key: str, path: Path) -> None:
-    """Write a dataclass as JSON with its hash, whole or not at all."""
-    write_text(sealed_json({KEY: cache_key, **asdict(found)}, 1) + "\n", path)
-
-
-def read_results(path: Path, cache_key: str, kind: type[T]) -> T | None:
-    """The dataclass in a file; None if there is no such file, it is damaged, or its cache key is another."""
-    try:
-        plain = opened_json(path.read_text(encoding="utf-8"))
-        found: T | None = _as(kind, plain) if plain.pop(KEY) == cache_key else None
-        return found
-    except (OSError, ValueError, KeyError, TypeError):
-        say_made_anew(path)
-        return None
-
-
-def _as(kind: Any, plain: Any) -> Any:
-    """Plain JSON as the type that a field declares: dataclasses, lists and tuples, nested."""
-    if is_dataclass(kind):
-        hints = get_type_hints(kind)
-        return kind(**{name: _as(hints[name], value) for name, value in plain.items()})  # type: ignore[operator]
-    if get_origin(kind) in (list, tuple):
-        return get_origin(kind)(_as(get_args(kind)[0], value) for value in plain)
-    return plain

@@ -7,9 +7,8 @@ forces to readings. The closed form of an endless layer gives the touch that is 
 a touch lies on no pad.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 from scipy.optimize import brentq
@@ -32,7 +31,7 @@ from geometry.layout import (
     unit_centres,
 )
 
-VERSION = 1  #: raise when the same settings give other numbers
+VERSION = 2  #: raise when the same settings give other numbers
 LOADS = {"normal": 2, "tangential": 0}  #: with the axis of the load; y is x mirrored
 RINGS = (1, 2, 3)  #: pitches between a loaded unit and a neighbour
 PLACES = 8  #: along x and y in one pitch, where a touch is tried
@@ -60,22 +59,20 @@ class Spaced:
     pitch_mm: float
     span_mm: float
     pad_mm: float
-    electrode_share: dict[str, list[float]]  #: by load, for neighbours at each of RINGS: electrodes' displacement
-    reading_share: dict[str, list[float]]  #: the same of relative changes of pillars' resistances
+    reading_share: dict[str, tuple[float, ...]]  #: by load, for neighbours at each of RINGS: changes of resistances
     condition: float  #: of the map from all forces to all relative changes of resistances, at rest
     noise_n: dict[str, float]  #: least error of a force by the readings' noise, root mean square over the units [N]
-    distance_mm: list[float]  #: of every electrode from the middle of the loaded pad
-    moved: list[float]  #: displacement of that electrode by a normal load, over the loaded unit's
-    on_rim: list[bool]  #: whether its unit has no neighbour on some side
+    distance_mm: tuple[float, ...]  #: of every electrode from the middle of the loaded pad
+    moved: tuple[float, ...]  #: displacement of that electrode by a normal load, over the loaded unit's
+    on_rim: tuple[bool, ...]  #: whether its unit has no neighbour on some side
 
 
 @dataclass(frozen=True, kw_only=True)
 class Touch:
-    """The lightest touches that some pillar feels, at the place where that takes most, and where least [N]."""
+    """The lightest touches that some pillar feels, at the place where that takes most [N]."""
 
     pitch_mm: float
     worst_n: dict[str, float]  #: by load
-    best_n: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +83,8 @@ class Spacing:
     smallest_mm: float  #: pitch below which the paper's units would merge
     decay_mm: float  #: e-fold length of an endless layer, far from the load
     fitted_mm: float  #: that of the finite elements inside the array
-    seconds: float
-    spaced: list[Spaced]
-    touches: list[Touch]
+    spaced: tuple[Spaced, ...]
+    touches: tuple[Touch, ...]
 
     @property
     def fitting(self) -> list[Spaced]:
@@ -104,14 +100,7 @@ def spacing_cache_key(design: SensorDesign, asked: Asked) -> str:
 
 
 def study_spacing(design: SensorDesign, asked: Asked, progress: Callable[[str], None] = lambda step: None) -> Spacing:
-    """Solve every pitch; `progress` is called as each begins.
-
-    Raises
-    ------
-    GeometryError, SolverError
-        If a response cannot be trusted.
-    """
-    started = perf_counter()
+    """Solve every pitch; `progress` is called as each begins."""
     spaced = []
     for pitch_mm in asked.pitches_mm:
         progress(f"{pitch_mm:g} mm")
@@ -127,9 +116,8 @@ def study_spacing(design: SensorDesign, asked: Asked, progress: Callable[[str], 
         smallest_mm=design.unit.footprint_mm,
         decay_mm=decay_length_mm(height_mm, design.matrix_material.poisson),
         fitted_mm=fitted_decay_mm(spaced, asked.far * height_mm),
-        seconds=perf_counter() - started,
-        spaced=spaced,
-        touches=touches,
+        spaced=tuple(spaced),
+        touches=tuple(touches),
     )
 
 
@@ -164,17 +152,16 @@ def spaced_units(response: ArrayResponse, noise: float) -> Spaced:
         pitch_mm=design.array.pitch_mm,
         span_mm=design.unit.span_mm,
         pad_mm=design.pad.size_mm,
-        electrode_share={load: _ring_shares(moved[..., row, col, axis], row, col) for load, axis in LOADS.items()},
         reading_share={load: _ring_shares(np.abs(by_unit[..., row, col, a]), row, col) for load, a in LOADS.items()},
         condition=float(np.linalg.cond(readings)),
         noise_n={f"f{axis}": float(np.sqrt((unbiased_n[:, i] ** 2).mean())) for i, axis in enumerate(AXES)},
-        distance_mm=np.linalg.norm(places, axis=1).tolist(),
-        moved=share.ravel().tolist(),
-        on_rim=np.repeat(rim, len(design.unit.layout.upper)).tolist(),
+        distance_mm=tuple(np.linalg.norm(places, axis=1).tolist()),
+        moved=tuple(share.ravel().tolist()),
+        on_rim=tuple(np.repeat(rim, len(design.unit.layout.upper)).tolist()),
     )
 
 
-def _ring_shares(sizes: FloatArray, row: int, col: int) -> list[float]:
+def _ring_shares(sizes: FloatArray, row: int, col: int) -> tuple[float, ...]:
     """Largest of sizes (rows, cols, n) among neighbours 1, 2, 3 along the row or column, over the unit's own."""
     rows, cols, _ = sizes.shape
     shares = []
@@ -182,10 +169,10 @@ def _ring_shares(sizes: FloatArray, row: int, col: int) -> list[float]:
         ring = [(row + k, col), (row - k, col), (row, col + k), (row, col - k)]
         inside = [sizes[i, j].max() for i, j in ring if 0 <= i < rows and 0 <= j < cols]
         shares.append(float(max(inside, default=0.0) / sizes[row, col].max()))
-    return shares
+    return tuple(shares)
 
 
-def fitted_decay_mm(spaced: list[Spaced], from_mm: float) -> float:
+def fitted_decay_mm(spaced: Sequence[Spaced], from_mm: float) -> float:
     """λ of the law exp(−r/λ)/√r that fits the electrodes inside the array best from a distance on [mm].
 
     All pitches together, of the paper's unit alone: those narrowed to fit have another displacement of their own. Units
@@ -207,30 +194,15 @@ def lightest_touch(design: SensorDesign, asked: Asked) -> Touch:
     steps = (np.arange(PLACES) / PLACES - 0.5) * pitch_mm
     middles = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     felt = strongest_reading(design, middles, asked.touch_mm)
-    wanted = asked.sure * asked.noise
-    return Touch(
-        pitch_mm=pitch_mm,
-        worst_n={load: float(wanted / felt[:, axis].min()) for load, axis in LOADS.items()},
-        best_n={load: float(wanted / felt[:, axis].max()) for load, axis in LOADS.items()},
-    )
+    worst_n = {load: float(asked.sure * asked.noise / felt[:, axis].min()) for load, axis in LOADS.items()}
+    return Touch(pitch_mm=pitch_mm, worst_n=worst_n)
 
 
 def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: float) -> FloatArray:
     """Largest relative change of any pillar's resistance by touches on an endless array.
 
-    Parameters
-    ----------
-    design : SensorDesign
-        Its unit, pitch and matrix count; the body is taken as an endless layer of the matrix.
-    middles_mm : array, shape (n, 2)
-        Where the touches are, from the centre of a unit.
-    touch_mm : float
-        Side of the square touched.
-
-    Returns
-    -------
-    array, shape (n, 3)
-        By a force along x, y and z [1/N]: 2 Δl/l, since R grows as l².
+    Touches are squares about middles (n, 2), from the centre of a unit, on an endless layer of the matrix. Gives (n, 3)
+    by a force along x, y and z [1/N]: 2 Δl/l, since R grows as l².
     """
     near = replace(design, array=Array(rows=2 * AROUND + 1, cols=2 * AROUND + 1, pitch_mm=design.array.pitch_mm))
     touches = np.hstack([middles_mm - touch_mm / 2, middles_mm + touch_mm / 2])
@@ -245,28 +217,12 @@ def strongest_reading(design: SensorDesign, middles_mm: FloatArray, touch_mm: fl
 
 
 def decay_length_mm(height_mm: float, poisson: float) -> float:
-    """Distance over which what a load does to a layer's surface falls by e, far from the load.
+    """Distance λ over which what a load does to a layer's surface falls by e, far from the load.
 
-    Parameters
-    ----------
-    height_mm : float
-        Of the layer.
-    poisson : float
-        ν, from 0 to below 0.5.
+    Displacements fall as exp(−r/λ)/√r; λ is 1.35 heights as ν → 0.5. Far away counts the pole of the spectrum that is
+    nearest the real axis: D = 0 at q = i x, x the root of 2κ cos 2x = 4x² − 1 − κ², and λ = h/x. As ν → 0.5, κ → 1 it
+    is that of cos x = x. What twists the surface about the load (the transverse part) falls faster, with x = π/2.
 
-    Returns
-    -------
-    float
-        λ [mm]: displacements fall as exp(−r/λ)/√r; 1.35 heights as ν → 0.5.
-
-    Notes
-    -----
-    Far away counts the pole of the spectrum that is nearest the real axis: D = 0 at q = i x, x the root of
-    2κ cos 2x = 4x² − 1 − κ², and λ = h/x. As ν → 0.5, κ → 1 it is that of cos x = x. What twists the surface about the
-    load (the transverse part) falls faster, with x = π/2.
-
-    Examples
-    --------
     >>> round(decay_length_mm(10.0, 0.49), 2)
     13.37
     """

@@ -1,4 +1,4 @@
-"""The arrays of the README and of docs/, still and moving: `python -m studies.pictures.arrays docs`.
+"""The arrays of the README and of docs/, still and moving: `python -m studies draw-arrays docs`.
 
 Files are small: colours are rounded where nobody sees it, and the moving picture is a WebP.
 """
@@ -16,8 +16,7 @@ from fem.pictures.deformation import DeformedPicture
 from fem.pictures.parts import Parts, sensor_parts
 from geometry.design import Array, SensorDesign
 from geometry.layout import FloatArray
-from studies.charts import save_small
-from studies.program import run_alone
+from studies.charts import save_screen
 from tripillar.face.bodies import design as written
 from tripillar.viewer.page.controls import traction_of
 from tripillar.viewer.panels import panels_of
@@ -38,8 +37,7 @@ def draw(folder: Path) -> None:
         ("tutorial-array.png", of_nine, (1.0, 3.0, 5.0)),
     ):
         picture = DeformedPicture(panels_of(design, pressures, "indenter", stress=False))
-        save_small(Image.fromarray(picture.plotter.screenshot(return_img=True)), folder / name)
-        picture.plotter.close()
+        save_screen(picture, folder / name)
     draw_moving(SensorDesign(), folder / "deforming-array.webp")
 
 
@@ -79,7 +77,3 @@ def tour(design: SensorDesign) -> list[FloatArray]:
         centre = 1.2 * pitch * np.cos(angle), 1.2 * pitch * np.sin(angle)
         found.append(indenter_tractions(design, traction, centre, pitch))
     return found
-
-
-if __name__ == "__main__":
-    run_alone(draw)

@@ -1,4 +1,4 @@
-"""The documentation's drawings that need no solver: ``python -m studies.pictures.drawings docs``.
+"""The documentation's drawings that need no solver: ``python -m studies draw-drawings docs``.
 
 `build.png` is one unit with its electrodes and the wires that read it, `protocols.png` one load of each protocol.
 """
@@ -17,7 +17,6 @@ from geometry.layout import AXES, FloatArray, electrode_centres, unit_centres
 from geometry.prism import Prism, unit_prisms
 from geometry.wiring import crossings, pillar_of_crossing, wires
 from studies.charts import new_figure, save
-from studies.program import run_alone
 from tripillar.sweeps.judge import own_axes
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
@@ -132,7 +131,3 @@ def draw_protocols(design: SensorDesign, path: Path, seed: int = 1) -> None:
     figure.colorbar(image, ax=panels, label="pressure [MPa]", shrink=0.7)
     figure.suptitle(f"one sample of each protocol; an arrow of a pitch is {TANGENTIAL_MPA[1]:g} MPa of shear")
     save(figure, path)
-
-
-if __name__ == "__main__":
-    run_alone(draw)

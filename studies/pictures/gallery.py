@@ -1,4 +1,4 @@
-"""The pictures of docs/gallery.md by its own commands: ``python -m studies.pictures.gallery docs``.
+"""The pictures of docs/gallery.md by its own commands: ``python -m studies draw-gallery docs``.
 
 Each section of the page that shows ``gallery/NAME.webp`` gives the commands that write NAME, a picture. They run in an
 empty folder beside copies of scenes/ and examples/; the picture is then made small. Other pictures there are those of
@@ -20,7 +20,6 @@ from PIL import Image
 
 from common.errors import DesignError
 from common.storage.files import cache_folder, replacing
-from studies.program import run_alone
 
 ROOT = Path(__file__).parents[2]
 WIDE, MAX_BYTES = 1000, 150_000  #: of a picture
@@ -84,7 +83,3 @@ def shrink(drawn: Path, path: Path) -> None:
             if temporary.stat().st_size <= MAX_BYTES:
                 return
         raise DesignError(f"{path}: more than {MAX_BYTES} bytes at a quality of {QUALITIES[-1]}: draw less.")
-
-
-if __name__ == "__main__":
-    run_alone(draw)

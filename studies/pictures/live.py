@@ -1,4 +1,4 @@
-"""The display of `tripillar live` as a picture for the README: `python -m studies.pictures.live docs/live.svg`."""
+"""The display of `tripillar live` as a picture for the README: `python -m studies draw-live docs/live.svg`."""
 
 import io
 from pathlib import Path
@@ -13,7 +13,6 @@ from hardware.link.reception import LinkStatistics
 from hardware.readout.calibration import Electronics
 from hardware.readout.forces import ForceReader
 from studies.paper_sensor import board_info, joint_net
-from studies.program import run_alone
 from tripillar.pipeline.stage import respond
 from tripillar.terminal.force_view import live_view
 from tripillar.terminal.progress import Bars
@@ -35,7 +34,3 @@ def draw(out: Path) -> None:
     console = Console(record=True, width=92, force_terminal=True, color_system="truecolor", file=io.StringIO())
     console.print(view)
     write_text(console.export_svg(title="tripillar live"), out)
-
-
-if __name__ == "__main__":
-    run_alone(draw)

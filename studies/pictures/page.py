@@ -1,6 +1,6 @@
 """The page of `tripillar view --serve` in headless Chromium, for benchmarks and for the picture in the docs.
 
-`python -m studies.pictures.page docs/page.png` draws that picture.
+`python -m studies draw-page docs/page.png` draws that picture.
 """
 
 import io
@@ -16,7 +16,6 @@ from PIL import Image
 
 from common.errors import DesignError
 from studies.charts import save_small
-from studies.program import run_alone
 
 CHROMIUM = Path("/usr/bin/chromium")  #: Debian's
 PATIENCE_MS = 60_000
@@ -65,7 +64,3 @@ def draw(out: Path) -> None:
             page.wait_for_timeout(SETTLED_MS)
         with Image.open(io.BytesIO(page.screenshot())) as screen:
             save_small(screen, out)
-
-
-if __name__ == "__main__":
-    run_alone(draw)

@@ -1,4 +1,4 @@
-"""A simulated bench series and its fit, in docs/rubber.md: ``python -m studies.pictures.rubber docs``."""
+"""A simulated bench series and its fit, in docs/rubber.md: ``python -m studies draw-rubber docs``."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +13,6 @@ from decoupler.rubber.unknown import next_test
 from geometry.design import Memory, Prony
 from geometry.layout import FloatArray
 from studies.pictures.gallery import shrink
-from studies.program import run_alone
 
 MEMORY = Memory(a=(0.3, 0.2), b_lengthen=1.2, b_shorten=8.0, tau_s=(7.0, 150.0), g1=2.0, g2=-5.0)
 ELASTIC = Elastic(model="yeoh", stiffness_n=5.0, stiffening=0.3, prony=Prony(share=(0.06, 0.08), tau_s=(2.0, 120.0)))
@@ -36,8 +35,9 @@ def bench(
     elastic: Elastic = ELASTIC,
     rate_hz: float = 4.0,
     programme: tuple[FloatArray, FloatArray] | None = None,
+    white: float = 0.1,
 ) -> Series:
-    """A series of the test that is proposed, with errors that stay alike for a while, and white ones of a tenth."""
+    """A series of the test that is proposed, with errors that stay alike for a while, and a share of white ones."""
     from scipy.signal import lfilter
 
     corners, levels = next_test() if programme is None else programme
@@ -45,14 +45,10 @@ def bench(
     strain, generator = np.interp(time_s, corners, levels), np.random.default_rng(seed)
     keep, shocks = np.exp(-1 / rate_hz / CORRELATION_S), generator.standard_normal((2, len(time_s)))
     shocks[0, 1:] *= np.sqrt(1 - keep**2)
-    error = noise * (lfilter([1.0], [1.0, -keep], shocks[0]) + 0.1 * shocks[1])
+    error = noise * (lfilter([1.0], [1.0, -keep], shocks[0]) + white * shocks[1])
     force_n = elastic.force(strain, 1 / rate_hz)
     return Series(
         time_s=time_s, strain=strain,
         force_n=force_n + noise * generator.standard_normal(len(time_s)) * np.ptp(force_n),
         resistance_ohm=REST_OHM * np.exp(log_ratio(strain, 1 / rate_hz, memory) + error),
     )  # fmt: skip
-
-
-if __name__ == "__main__":
-    run_alone(draw)

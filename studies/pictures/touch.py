@@ -1,16 +1,14 @@
-"""True and decoded traction side by side: `python -m studies.pictures.touch docs --model touch.safetensors`.
+"""True and decoded traction side by side: `python -m studies draw-touch docs --model touch.safetensors`.
 
 `touch.webp` shows six shapes, `touch-ball.webp` a ball that rolls over the array, decoded scan by scan as `live` does.
 """
 
-from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
@@ -22,8 +20,7 @@ from decoupler.touch.decoder import TouchDecoder, Touched
 from fem.contact import Contact, Cylinder, Flat, Shape, Sphere, SurfaceCompliance, about_z, press, surface_compliance
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from studies.charts import new_figure
-from studies.program import run_alone
+from studies.charts import image_of, new_figure
 from studies.touched import Cone, Ring, TwoBalls, read_touch
 
 SHAPES: tuple[tuple[str, Shape, float, tuple[float, float]], ...] = (  #: name, shape, depth [mm], place [mm]
@@ -62,7 +59,7 @@ def draw_shapes(decoder: TouchDecoder, surface: SurfaceCompliance) -> Image.Imag
     for axes in columns[0]:
         axes.set_ylabel("y [mm]")
     figure.colorbar(shown, ax=columns, shrink=0.9, extend="max", label="pressure [MPa]")
-    return _image(figure)
+    return image_of(figure)
 
 
 def draw_ball(decoder: TouchDecoder, surface: SurfaceCompliance, frames: int = FRAMES) -> list[Image.Image]:
@@ -82,7 +79,7 @@ def draw_ball(decoder: TouchDecoder, surface: SurfaceCompliance, frames: int = F
             axes.set_xlabel("x [mm]")
         pair[0].set_ylabel("y [mm]")
         figure.colorbar(shown, ax=list(pair), shrink=0.85, extend="max", label="pressure [MPa]")
-        images.append(_image(figure))
+        images.append(image_of(figure))
     return images
 
 
@@ -143,17 +140,7 @@ def _density(design: SensorDesign, place_mm: FloatArray, force_n: FloatArray, ce
     return np.stack([gaussian_filter(part, BLUR_MM / cell_mm) for part in each]) / cell_mm**2
 
 
-def _image(figure: Figure) -> Image.Image:
-    with BytesIO() as drawn:
-        figure.savefig(drawn, format="png")
-        return Image.open(drawn).convert("RGB")
-
-
 def _save(images: list[Image.Image], path: Path) -> None:
     more: dict[str, Any] = {"save_all": True, "append_images": images[1:], "duration": FRAME_MS, "loop": 0}
     with replacing(path) as temporary:
         images[0].save(temporary, "WEBP", quality=QUALITY, method=6, **(more if images[1:] else {}))
-
-
-if __name__ == "__main__":
-    run_alone(draw)

@@ -1,5 +1,4 @@
-"""The law of rubber, and training without a design, judged on what others measured: ``python -m studies.real_rubber``.
+"""The law of rubber, and training without a design, judged on what others measured, and on a simulated array.
 
-In: clones of three repositories, none of whose files is kept here. Out: tables as JSON and Markdown, and a picture.
-`strips`, `velostat` and `eflesh` read; `others` are methods beside ours; `judging` compares. Open `__main__` first.
+In: clones of three repositories. Open `published.py` first; `readers.py` reads, `others.py` has methods beside ours.
 """

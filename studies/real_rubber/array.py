@@ -1,4 +1,4 @@
-"""``python -m studies.real_rubber.array``: what remembering rubber costs a 6 × 6 array, and what following it leaves.
+"""``python -m studies rubber-array``: what remembering rubber costs a 6 × 6 array, and what following it leaves.
 
 All loads of a test are pressed in 2 s, held for a minute and let go, by pillars whose numbers are spread by 15 %, where
 size decides the direction. Lengths are those of the simulator, so that errors are the memory's alone.
@@ -18,14 +18,14 @@ import tripillar as tp
 from dataset.memory import PillarMemory, broken_contacts, log_rise
 from decoupler.rubber.belief import SensorFilter
 from decoupler.rubber.fit import identified
-from decoupler.rubber.law import NAMES, Elastic, Rubber, log_ratio, memory_of
+from decoupler.rubber.law import NAMES, Elastic, Rubber, memory_of
 from decoupler.rubber.rubber_file import read_rubber, write_rubber
 from decoupler.rubber.series import Series
 from decoupler.rubber.unknown import next_test
 from geometry.design import Memory
 from geometry.layout import FloatArray
-from studies.program import run_alone
-from studies.tables import report
+from studies.pictures.rubber import bench
+from studies.tables import OUT, Folder, Row, report
 
 #: strips as they were measured in tension (docs/rubber.md); what g₂ would be in compression nobody knows
 RUBBERS = {
@@ -35,11 +35,11 @@ RUBBERS = {
     "10 %": Memory(a=(0.235, 0.24), b_lengthen=1.35, b_shorten=9.84, tau_s=(17.1, 429.0), g1=1.09),
 }
 NONE = "none that remembers"
-OWN, SERIES, G2 = "7.5 %", 3, NAMES.index("g2")
+OWN, G2 = "7.5 %", NAMES.index("g2")
 CORNERS_S, SECONDS, APART_S = (5.0, 7.0, 67.0, 69.0), 130.0, 0.1  #: rest, pressed, held, let go
 MARKS_S = {"1 s held": 8.0, "60 s held": 66.9, "10 s let go": 79.0, "60 s let go": 129.0}
 SPREAD, NOISE = 0.15, 0.001
-SLOW, SLOW_S, RATE_HZ, STRETCH = 0.01, 20.0, 4.0, 0.2  #: errors of the bench's ln R, and how far it stretches
+SLOW, WHITE, STRETCH = 0.01, 0.2, 0.2  #: errors of the bench's ln R, what is white of them, and how far it stretches
 STARTS_S = (6.0, 10.0, 40.0, 68.0, 75.0)  #: at which a board starts anew
 SCANS, RUNS = 1500, 5  #: whose cost is measured, at 50 Hz
 
@@ -117,18 +117,9 @@ def static_strain(log_ratio: FloatArray, memory: Memory) -> FloatArray:
 
 def bench_series(memory: Memory, seed: int = 0) -> Series:
     """A bench series of a strip in the test that is proposed, with errors that stay alike for 20 s."""
-    from scipy.signal import lfilter
-
     corners, levels = next_test()
-    time_s, generator = np.arange(0.0, corners[-1], 1 / RATE_HZ), np.random.default_rng(seed)
-    strain = np.interp(time_s, corners, STRETCH / np.max(levels) * levels)
-    keep = np.exp(-1 / RATE_HZ / SLOW_S)
-    slow, fast = generator.standard_normal((2, len(time_s)))
-    slow[1:] *= np.sqrt(1 - keep**2)
-    error = SLOW * np.asarray(lfilter([1.0], [1.0, -keep], slow)) + 2 * NOISE * fast
-    force_n = Elastic(model="neo-hookean", stiffness_n=5.0).force(strain, 1 / RATE_HZ)
-    ohm = 1200.0 * np.exp(log_ratio(strain, 1 / RATE_HZ, memory) + error)
-    return Series(time_s=time_s, strain=strain, force_n=force_n, resistance_ohm=ohm)
+    programme, elastic = (corners, STRETCH / np.max(levels) * levels), Elastic(model="neo-hookean", stiffness_n=5.0)
+    return bench(seed, SLOW, memory, elastic, programme=programme, white=WHITE)
 
 
 def rubber_of(memory: Memory, seed: int = 0) -> Rubber:
@@ -151,28 +142,30 @@ def frame_ms(ours: SensorFilter, log_ratio: FloatArray) -> float:
     return min(took_ms)
 
 
-def judge(
-    out: Annotated[Path, Parameter(help="File for the tables.")] = Path("out/rubber-array.json"),
+def rubber_array(
+    out: Folder = OUT,
     loads: Annotated[int, Parameter(help="Number of loads, none of them trained on.")] = 8,
     samples: Annotated[int, Parameter(help="Number of samples that the decoder is trained on.")] = 2000,
+    series: Annotated[int, Parameter(help="Number of bench series of the same rubber.")] = 3,
 ) -> None:
     """Judge what follows a rubber's memory on an array: direction known or not, wrong rubbers, starts, cost."""
     pressed, rubbers = Pressed(loads, samples), {name: rubber_of(memory) for name, memory in RUBBERS.items()}
+    own, others = rubbers[OWN], [name for name in RUBBERS if name != OWN]
+    files = {f"series {n}": rubber_of(RUBBERS[OWN], n) if n else own for n in range(series)}
     by = partial(_filters, pressed)
-    others = [rubber_of(RUBBERS[OWN], seed) for seed in range(1, SERIES)]
-    own = [
-        row | {"file of": f"series {n}"} for n, each in enumerate([rubbers[OWN], *others]) for row in by(OWN, each, OWN)
-    ]
-    wrong = [row for name in (*RUBBERS, NONE) if name != OWN for row in by(name, rubbers[OWN], OWN)]
-    turned = [row for name, rubber in rubbers.items() if name != OWN for row in by(OWN, rubber, name)]
-    costs: list[dict[str, Any]] = []
     y = np.repeat(pressed.log_ratio(RUBBERS[OWN])[40:640, 0], 5, axis=0)  # the press and half its hold
-    for direction in ("loading", "unknown"):
-        ours = SensorFilter.of_rubber(_stated(rubbers[OWN], direction))
-        costs.append({"direction": direction, "ms a scan of 108 pillars": frame_ms(ours, y)})
-    title = f"Fz where {pressed.force_n:.0f} N rms are pressed"
-    tables = {title: own, "another rubber's file": wrong + turned, "cost": costs}
-    report(tables, out)
+    tables: dict[str, list[Row]] = {
+        f"Fz where {pressed.force_n:.0f} N rms are pressed": [
+            row for name, rubber in files.items() for row in by(OWN, rubber, name)
+        ],
+        "another rubber's file": [row for name in (*others, NONE) for row in by(name, own, OWN)]
+        + [row for name in others for row in by(OWN, rubbers[name], name)],
+        "cost": [
+            {"direction": way, "ms a scan of 108 pillars": frame_ms(SensorFilter.of_rubber(_stated(own, way)), y)}
+            for way in ("loading", "unknown")
+        ],
+    }
+    report(tables, out / "rubber-array.json")
 
 
 def _stated(rubber: Rubber, direction: str) -> Rubber:
@@ -182,18 +175,13 @@ def _stated(rubber: Rubber, direction: str) -> Rubber:
     return replace(rubber, memory=replace(memory_of(given), direction=direction))
 
 
-def _filters(pressed: Pressed, truth: str, rubber: Rubber, file: str) -> list[dict[str, Any]]:
+def _filters(pressed: Pressed, truth: str, rubber: Rubber, file: str) -> list[Row]:
     """Rows of an array of one rubber, read with the file of this one or of another."""
     y = pressed.log_ratio(RUBBERS.get(truth, Memory()))
-    named: dict[str, Any] = {"rubber": truth, "file of": file}
-    ignored = pressed.errors(static_strain(y, _stated(rubber, "loading").memory))
-    rows: list[dict[str, Any]] = [named | {"by": "no contacts"} | ignored]
-    rows.append(named | {"by": "no rubber"} | pressed.errors(np.expm1(0.5 * y)))
+    found = {
+        "no contacts": pressed.errors(static_strain(y, _stated(rubber, "loading").memory)),
+        "no rubber": pressed.errors(np.expm1(0.5 * y)),
+    }
     for direction in ("loading", "unknown"):
-        ours = SensorFilter.of_rubber(_stated(rubber, direction))
-        rows.append(named | {"by": f"followed, {direction}"} | pressed.row(ours, y))
-    return rows
-
-
-if __name__ == "__main__":
-    run_alone(judge)
+        found[f"followed, {direction}"] = pressed.row(SensorFilter.of_rubber(_stated(rubber, direction)), y)
+    return [{"rubber": truth, "file of": file, "by": way} | errors for way, errors in found.items()]

@@ -1,37 +1,20 @@
-"""Magnetic readings of eFlesh decoded without a design: force and place from 15 or 30 channels.
-
-Data: notvenky/eFlesh on GitHub, ``characterization/datasets``; Pattabiraman et al., arXiv 2506.09994.
-"""
+"""Magnetic readings of eFlesh decoded without a design: force and place from 15 or 30 channels."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dataset import Samples
 from decoupler import NetworkConfig, train
 from geometry.layout import AXES, FloatArray
+from studies.real_rubber.readers import Pressed, read_recordings
+from studies.tables import Row
 
-FOLDER = Path("characterization/datasets")
-N_PER_G = 9.81e-3
 REST = 2e4  #: added to changes of a channel [μT], which are then resistances [Ω]; the largest is a sixth of it
 NOISE = 2.5e-4  #: of these: 5 μT, the channels' scatter at rest
 HELD_OUT = 0.2  #: share of places; of a recording's end, as the paper's own split
 PAPER = {"normal_force": "0.27 N", "shear_force": "0.12 N", "spatial_resolution": "0.5 mm"}
-Pressed = tuple[FloatArray, FloatArray]  #: channels (n, c) [μT], and (n, 1) force [N], or (n, 3) place and height [mm]
-
-
-def recordings(folder: Path, kind: str) -> list[Pressed]:
-    """Each recording of a kind, but for lines in which the scale said nothing; the robot's line nearest in time."""
-    found = []
-    for one in sorted((folder / FOLDER / kind).iterdir()):
-        sensor, states = (np.loadtxt(one / name, delimiter=",") for name in ("sensor_post_baselines.csv", "states.csv"))
-        probe = states[np.searchsorted((states[1:, 0] + states[:-1, 0]) / 2, sensor[:, 0]), 1:]
-        weighed = probe[:, -1] >= 0
-        wanted = N_PER_G * probe[:, 3:] if probe.shape[1] > 3 else probe - probe.mean(axis=0)
-        found.append((sensor[weighed, 1:], wanted[weighed]))
-    return found
 
 
 def samples(channels: FloatArray, wanted: FloatArray) -> Samples:
@@ -73,10 +56,10 @@ def trials(found: list[Pressed], kind: str) -> Iterator[tuple[str, Pressed, Pres
     yield "the last's last fifth by its first", (x[:n], wanted[:n]), (x[n:], wanted[n:])
 
 
-def judged(folder: Path, kind: str) -> list[dict[str, Any]]:
+def judged(folder: Path, kind: str) -> list[Row]:
     """A row of errors for each trial, in newtons or millimetres; of places, both coordinates together."""
-    rows = []
-    for name, learned, (channels, true) in trials(recordings(folder, kind), kind):
+    rows: list[Row] = []
+    for name, learned, (channels, true) in trials(read_recordings(folder, kind), kind):
         m = min(true.shape[1], 2)
         got, half = decoded(learned, channels)
         error = (got - true)[:, :m]

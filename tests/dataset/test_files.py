@@ -313,6 +313,14 @@ def test_what_is_no_file_of_its_form_is_refused(data, copy, tmp_path):
         assert said in refusal(tmp_path / "a.csv")
 
 
+def test_a_table_of_one_axis_needs_no_other_pillars(tmp_path):
+    """Those that are not in it are open circuits, which no component of that axis takes."""
+    (tmp_path / "x.csv").write_text("force_0_0_x_n,resistance_0_0_x_ohm\n1,9000\n2,8000\n")
+    data = read_samples(tmp_path / "x.csv")
+    assert data.force_n[:, 0, 0].tolist() == [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    assert data.resistance_ohm[:, 0, 0].tolist() == [[1e9, 9000.0, 1e9], [1e9, 8000.0, 1e9]]
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -1,6 +1,6 @@
 """Noise, converters, drifts and specimens have the statistics asked for, and change nothing else."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from dataset import (
     counts_from_resistance,
     measured,
     resistance_from_counts,
+    simulate,
 )
 from dataset.imperfections import place_of
 from dataset.measurement import SENSE_OHM, ReadingError
@@ -159,6 +160,14 @@ def test_dead_pillars_leave_what_the_others_read_as_it_was():
 
 def on_five_columns(**broken):
     return lambda: applied(Imperfections(**broken), EXACT[:, :, :5])
+
+
+def test_samples_know_each_error_that_their_readings_were_drawn_with(response):
+    """Whatever `ReadingError` has or comes to have; without drifts noise and converter are left."""
+    asked = {spec.name: 12 if spec.name == "bits" else 0.002 for spec in fields(ReadingError)}
+    errors = simulate(response, DatasetSettings(protocol="contact", samples=3, **asked)).errors
+    assert errors == ReadingError(**asked)
+    assert errors.without_drifts() == ReadingError(noise=0.002, bits=12)
 
 
 def settings(**given):

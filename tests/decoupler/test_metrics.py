@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
+import tripillar as tp
 from dataset import SampleError, pillar_lengths, pillar_resistances
 from dataset.measurement import ReadingError
 from decoupler import LeastSquares, assess, hooke_forces
@@ -15,7 +17,7 @@ from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
 from geometry import SensorDesign
 from geometry.layout import pillar_volumes
-from tests.decoupler.synthetic_sensor import ALL, RESPONSE, SMALL, labelled, sensor, split
+from tests.decoupler.synthetic_sensor import ALL, RESPONSE, SMALL, labelled, response, sensor, split
 from tests.decoupler.test_contract import made
 
 PAPER = SensorDesign()
@@ -121,3 +123,25 @@ def test_an_assessment_holds_what_its_parts_say():
         assert one.limits.bayes_n < limit
     assert list(as_plain(assess(model, test, None))["fz"])[:3] == ["rel_err", "rmse_n", "full_scale_pct"]
     assert assess(made("fz-inverse").model, test, RESPONSE)["fz"].limits is None
+
+
+def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_path):
+    data, solved = labelled(sensor(1, 2), "xyz", 60, seed=1), response(sensor(1, 2))
+    model = tp.train(data[:30], "all", hidden=2, max_iterations=3, response=solved)
+    data = data[30:]
+    own = tp.evaluate(model, data, response=solved)
+    dims = ("sample", "row", "col", "axis")
+    xr.Dataset({"force_n": (dims, model.forces(data.resistance_ohm))}).to_netcdf(tmp_path / "own.nc")
+    found = tp.evaluate(predictions=tmp_path / "own.nc", data=data, response=solved)
+    for name, one in found.items():
+        assert (one.errors, one.limits, one.ratio) == (own[name].errors, own[name].limits, own[name].ratio)
+        assert one.coverage == ()
+    fz_alone = np.where([False, False, True], data.force_n, np.nan)
+    (one,) = tp.evaluate(predictions=fz_alone, data=data, limits=False).values()
+    assert one.errors.rmse_n == 0
+    for wrong, said in (
+        (fz_alone[:-1], "one for each sample"),
+        (data.force_n * [1, 1, np.nan], "all three, or one alone"),
+    ):
+        with pytest.raises(SampleError, match=said):
+            tp.evaluate(predictions=wrong, data=data, limits=False)

@@ -264,10 +264,32 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_named(name):
-    """Thirty pairs and ten of a poor specimen: whatever it is, one line says it."""
+    """Thirty pairs and ten of a poor specimen: whatever it is, one line says it; of tables of loads, too."""
     data, said = WRONG[name]
     assert re.search(said, doubt(data, ALL, JOINT) or ""), doubt(data, ALL, JOINT)
     assert doubt(data[:10], ALL, JOINT) is not None
+    if name not in ("contacts", "unloaded"):
+        own = {"kΩ": "times those of the design", "MPa": "multiply by 144"}  # of pairs, which know no pads
+        of_table = own.get(name, "load 'pair|nothing linked" if said == NOT_LINKED else said)
+        by_table = doubt(Pairs.of(data), ALL, JOINT) or ""
+        assert re.search(of_table, by_table), by_table
+
+
+def test_loads_that_are_not_well_known_are_not_doubted_by_what_pads_share():
+    """Of plates, under which pads' shares are known to 30 %, the sum alone is known."""
+    force_n = np.ones((8, 3, 3, 1)) * [0.0, 0.0, 50.0] * np.arange(8.0)[:, None, None, None]
+    acting = force_n * (1.0 + 0.3 * np.random.default_rng(3).standard_normal((8, 3, 3, 1)))
+    ohms = JOINT.resistances(acting.reshape(8, -1)).reshape(8, 3, 3, 3)
+    pairs = Pairs(resistance_ohm=ohms, force_n=force_n, unknown_n=tuple(0.3 * force_n[:, None]), noise=1e-3)
+    assert (doubt(pairs, ALL, JOINT), suspicion(pairs, ALL, JOINT)) == (None, None)
+
+
+def test_half_of_the_pads_that_differ_are_named():
+    small = sensor(2, 2)
+    data = simulate(layer_response(small), DatasetSettings(protocol="three-axis", samples=60, noise=1e-3))
+    data = replace(data, force_n=data.force_n * [[[1.0], [1.3]]])
+    said = doubt(data, ALL, SensorModel.of(layer_response(small), ALL)) or ""
+    assert re.search(r"forces of pad 0/\d .* forces of pad 1/\d", said), said
 
 
 def test_kilohms_are_noticed_without_a_design():
@@ -332,6 +354,12 @@ def test_what_a_sensor_might_read_as_well_is_suspected():
         given = replace(data, force_n=force_n)
         assert doubt(given, ALL, joint) is None
         assert re.search(said or "^None$", str(suspicion(given, ALL, joint))), suspicion(given, ALL, joint)
+    poor = simulate(
+        layer_response(SENSOR), DatasetSettings(protocol="contact", samples=99, noise=1e-3, gain_spread=0.1)
+    )
+    for added in (-100.0, -50.0, 50.0, 100.0):  # N; gains change no curvature of a reading over its load
+        said = suspicion(replace(poor, force_n=poor.force_n + np.array([0.0, 0.0, added])), ALL, joint) or ""
+        assert float(said.split(" N seem")[0]) == pytest.approx(added, abs=5.0)
     mirrored = replace(data, force_n=data.force_n[:, ::-1], resistance_ohm=data.resistance_ohm[:, ::-1])
     assert "rows of the readings and forces seem to stand in reverse order" in (doubt(mirrored, ALL, joint) or "")
     assert suspicion(PAIRS, ALL, JOINT) is None

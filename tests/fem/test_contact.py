@@ -57,7 +57,7 @@ def test_sphere_and_disc_on_a_half_space_are_hertz_and_boussinesq():
 
 
 def test_a_sphere_on_the_thin_slab_is_ngsolve_s():
-    """Axially symmetric, by `python -m studies.bench.peers.contact`."""
+    """Axially symmetric, by `python -m studies peers spheres`."""
     contact = press(endless(0.49, 10.0), Sphere(10.0), 1.5)
     error = abs(contact.net_force_n[2] / 104.255 - 1)
     assert error < min(1.5e-3, contact.error_estimate)

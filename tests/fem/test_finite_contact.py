@@ -1,4 +1,4 @@
-"""Contact at finite strain against NGSolve (`studies.bench.peers.finite_contact`), and where it is not solved."""
+"""Contact at finite strain against NGSolve (`python -m studies peers finite`), and where it is not solved."""
 
 from dataclasses import replace
 

@@ -23,9 +23,7 @@ from fem.scene.scene_file import read_scene, scene_from_dict
 from fem.scene.solution import largest_error, relative_errors
 from geometry.design_file import design_from_dict
 from studies.bench.gate import cases
-from studies.bench.reference import reference_probes, stored_references
-from studies.bench.scenes import all_scenes
-from studies.edge_cases.random_scenes import random_tables
+from studies.bench.reference import reference_probes, reference_scene, stored_references
 
 GOLDEN: dict[str, Any] = json.loads(Path(__file__).with_name("golden.json").read_text(encoding="utf-8"))
 ROOT = Path(__file__).parents[2]
@@ -64,7 +62,7 @@ def test_scenes_are_where_they_were_or_refused(name):
 
 @pytest.mark.parametrize("name", table(GOLDEN["random"], lambda name: name in FEW))
 def test_random_scenes_are_where_they_were(name):
-    scene = replace(scene_from_dict(random_tables()[name]), tolerance=USUAL)
+    scene = replace(scene_from_dict(GOLDEN["random"][name]["scene"]), tolerance=USUAL)
     agree(scene, GOLDEN["random"][name]["probes"], GOLDEN["random"][name]["stated"])
 
 
@@ -78,7 +76,7 @@ def test_scenes_of_the_gate_are_where_ngsolve_finds_them(name):
 def test_scenes_of_the_benchmark_are_where_ngsolve_finds_them(name):
     """Of an array all electrodes as one, as its estimate means them."""
     truth, uncertain = reference_probes(name), stored_references()[name]["uncertainties"]
-    found, _ = solve_scene(replace(all_scenes()[name], tolerance=USUAL))
+    found, _ = solve_scene(replace(reference_scene(name), tolerance=USUAL))
     apart = {probe: found.probes[probe] - u for probe, u in truth.items()}
     if name.startswith("response"):
         size = np.linalg.norm([*truth.values()])

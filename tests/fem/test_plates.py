@@ -14,7 +14,7 @@ from fem.contact.tiles import Patch, cell_strips, edges, lined_grid, shares, sla
 from fem.pictures.contact import _outline, draw_contact
 from geometry.design import Array, Pad, Plate, SensorDesign
 from geometry.layout import pad_squares
-from studies.bench.peers.plates import CASES, pressed_here
+from studies.bench.peers.plates import CASES, answer_of, by_ngsolve
 from studies.bench.peers.plates import DESIGN as FOUR
 from tests.fem.coarse_plates import coarse_surface
 
@@ -190,26 +190,11 @@ def test_a_picture_of_a_contact_outlines_the_plates_that_it_shows(plated: Surfac
     assert (tmp_path / "contact.png").read_bytes().startswith(b"\x89PNG")
 
 
-#: net force down [N], and force down, ∫ x p and ∫ y p [N mm] of each plate, by `python -m studies.bench.peers.plates`
-NGSOLVE = {
-    "ball over a crossing": (
-        160.743,
-        [[15.434, 91.12, 91.39], [28.539, -165.99, 168.91], [41.962, 247.82, -239.56], [55.011, -320.66, -313.70]],
-    ),
-    "tilted box": (148.453, [[0.0, 0.0, 0.0], [52.054, 36.88, 304.08], [0.0, 0.0, 0.0], [96.016, 160.44, -193.68]]),
-    "flat punch over four plates": (
-        758.592,
-        [[184.462, 89.92, 220.97], [186.009, -78.64, 213.68], [191.148, 76.77, -66.98], [191.314, -75.76, -66.47]],
-    ),
-    "ball dragged along the diagonal, friction 0.5": (77.429, [*np.zeros((3, 3)), [77.429, -78.76, -78.74]]),
-}
-
-
 def assert_ngsolve_s(name: str, surface: SurfaceCompliance, tolerance: float) -> None:
     """Net force and wrenches, moments over half a plate, to a tolerance of the norm of all of them."""
-    (found, _), (net_n, wrench) = pressed_here(surface, CASES[name]), NGSOLVE[name]
-    assert found.net_n[2] == pytest.approx(net_n, rel=tolerance)
-    missed, whole = (each * [1.0, 1 / 6.0, 1 / 6.0] for each in (found.wrench - wrench, np.array(wrench)))
+    found, theirs = answer_of(surface, CASES[name]), by_ngsolve(name)
+    assert found["net_n"][2] == pytest.approx(theirs["net_n"][2], rel=tolerance)
+    missed, whole = (each * [1.0, 1 / 6.0, 1 / 6.0] for each in (found["wrench"] - theirs["wrench"], theirs["wrench"]))
     assert np.linalg.norm(missed) < tolerance * np.linalg.norm(whole)
 
 
@@ -219,12 +204,12 @@ def coarse() -> SurfaceCompliance:
     return coarse_surface(FOUR, 1, 4)
 
 
-@pytest.mark.parametrize("name", NGSOLVE)
+@pytest.mark.parametrize("name", CASES)
 def test_presses_on_four_plates_are_ngsolve_s_but_for_coarse_cells(name: str, coarse: SurfaceCompliance):
     assert_ngsolve_s(name, coarse, 0.05)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", NGSOLVE)
+@pytest.mark.parametrize("name", CASES)
 def test_presses_on_four_plates_are_ngsolve_s(name: str):
     assert_ngsolve_s(name, surface_compliance(FOUR)[0], 0.02)

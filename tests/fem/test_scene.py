@@ -6,6 +6,7 @@ import pytest
 
 from common.errors import SceneError
 from fem.kernel.loads import DeadLoad, FollowerLoad, StiffLoad
+from fem.methods.solving import solve_scene
 from fem.scene.scene import Block, Inclusion, Pillar
 from fem.scene.scene_file import read_scene, scene_from_toml
 from geometry.design import Material
@@ -24,6 +25,14 @@ def test_a_scene_is_read_as_written():
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_example_scenes_are_scenes(path):
     assert read_scene(path).probes
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_example_scenes_are_solved_to_their_tolerance(path):
+    scene = read_scene(path)
+    solution, _ = solve_scene(scene)
+    assert solution.error_estimate <= scene.tolerance
 
 
 def test_kinds_of_loads_and_a_model_are_read_as_written():

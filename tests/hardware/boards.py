@@ -213,8 +213,10 @@ class Listener:
         """Send a command and return the INFO frame that answers it; the ERRORS frame that answers ``!``."""
         answers = self.errors if command == b"!" else self.infos
         n_before = len(answers)
-        self.port.write(command)
-        self.take(lambda _: len(answers) > n_before)
+        while len(answers) == n_before:  # a busy machine may lose a command
+            self.port.write(command)
+            enough = len(self.frames) + 200
+            self.take(lambda _, enough=enough: len(answers) > n_before or len(self.frames) > enough)
         return answers[-1]
 
 

@@ -22,7 +22,7 @@ from hardware.readout.forces import ForceReader
 from tests.house import PATIENT_S
 
 missing = find_tools()
-pytestmark = pytest.mark.skipif(missing is not None, reason=str(missing))
+pytestmark = [pytest.mark.real, pytest.mark.skipif(missing is not None, reason=str(missing))]
 
 HOLD_STEPS = 6  #: each load lasts 30 ms: four scans at 150 Hz, at least two of them wholly within it
 N_LOADS = 25

@@ -20,6 +20,7 @@ from hardware.link.frames import Errors, Frame, Info, encode, stated
 from tests.hardware.test_decoder import errors, frames, infos
 
 fuzzed = settings(max_examples=150, derandomize=True, deadline=None)
+pytestmark = pytest.mark.real
 CANARY = 0xA5
 
 

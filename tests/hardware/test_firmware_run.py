@@ -31,6 +31,7 @@ from tests.hardware.boards import (
 )
 from tripillar.face.exporting import export
 
+pytestmark = pytest.mark.real
 SETTLE_US = 30  # what scan.c promises the circuit
 
 

@@ -19,8 +19,8 @@ def test_a_layout_is_judged_by_pads_behind_a_converter_and_by_touch_through_plat
     monkeypatch.setattr("decoupler.touch.plates.kept_value", lambda hint, kind, key, make: (make(), None, False))
     monkeypatch.setattr("studies.touched.CELLS", 16)
     monkeypatch.setattr("dataset.indentation.drawn_press", partial(drawn_press, cells=16))
-    layouts(["six-pillar"], units=2, samples=300, contacts=2, out=tmp_path / "found.json")
-    back, touch = json.loads((tmp_path / "found.json").read_text())["tables"].values()
+    layouts(["six-pillar"], units=2, samples=300, contacts=2, out=tmp_path)
+    back, touch = json.loads((tmp_path / "layouts.json").read_text())["tables"].values()
     assert [row["pads"] for row in back] == ["soft", "stiff"]
     assert all(max(row["times the limit"]) < 1.3 for row in back)  # of 300 samples; 1.1 of 5000
     for row, shapes in zip(touch, ("known", "unknown"), strict=True):

@@ -242,7 +242,7 @@ train --touch --design stiff.toml --shape small.toml -o m.safetensors -> --shape
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 identify --data semi.csv -o m.safetensors -> semi.csv: has no column force_0_0_x_n of 1 × 1 units
-evaluate --data data.nc -> give --model, or --folds to cross-validate: one of them
+evaluate --data data.nc -> give --model, --predictions, or --folds to cross-validate: one of them
 evaluate --model model.safetensors --data wide.nc -> array.pitch_mm: model 15, data 17
 evaluate --folds 10 --data few.nc --component all -> 3 samples are too few to cross-validate: at least 4 are needed
 identify --data data.nc --port p -o x.safetensors -> give --data or --port, not both

@@ -86,7 +86,7 @@ def scan(k, us=0, run=0):
 
 
 def test_every_scan_is_a_line_and_deviations_are_a_tenth_of_a_second_old_at_most(monkeypatch, capsys):
-    monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds: map(scan, range(RATE_HZ)))
+    monkeypatch.setattr(force_view, "scans_within", lambda scanner, seconds, **_: map(scan, range(RATE_HZ)))
     scanner, model = SimpleNamespace(info=Info(rows=1, cols=2), trouble=None, stats=LinkStatistics(dropped=3)), Model()
     object.__setattr__(model, "errors", ReadingError(noise=0.01))
     sensor = LiveSensor(scanner, model, SensorCalibration.as_designed(1, 2))
@@ -117,7 +117,7 @@ def test_forces_of_a_sensor_that_is_silent_are_grey_and_it_is_said_since_when(mo
         info=Info(rows=1, cols=2), trouble="disconnected: plug the board in again", stats=LinkStatistics(), ended=False
     )
     sensor = LiveSensor(scanner, Model(), SensorCalibration.as_designed(1, 2))
-    monkeypatch.setattr(force_view, "scans_within", lambda *_: iter([scan(0), None]))
+    monkeypatch.setattr(force_view, "scans_within", lambda *_, **__: iter([scan(0), None]))
     times_s = iter([0.0, 10.0, 10.0, 10.0, 17.0, 17.0])
     monkeypatch.setattr(force_view.time, "monotonic", lambda: next(times_s))
     force_view.show_forces(sensor, 1.0)
@@ -137,7 +137,7 @@ def test_a_line_on_trouble_says_when_and_a_clock_that_is_wrong_is_said(monkeypat
     troubles = iter(["the port is gone: plug it in again.", None])
     scanner = SimpleNamespace(info=Info(rows=1, cols=2), stats=LinkStatistics())
 
-    def silence(scanner, seconds):
+    def silence(scanner, seconds, **_):
         for scanner.trouble in troubles:
             yield None
 

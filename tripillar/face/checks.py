@@ -58,10 +58,14 @@ def enough(samples: AnySamples, seed: int, name: str, purpose: str) -> Samples:
     return few
 
 
-def mention(data: Samples, name: str, component: Component, forward: SensorModel | None, is_known: bool) -> None:
+def mention(
+    data: Samples | Pairs, name: str, component: Component, forward: SensorModel | None, is_known: bool
+) -> None:
     """Say what looks wrong unless that `is_known`, which forces the component leaves out, and what is given twice."""
     if not is_known and (said := suspicion(data, component, forward)):
         current().say(f"warning: {name}: {said}")
+    if isinstance(data, Pairs):
+        return
     left_out = disturbance(data, component, forward)
     if left_out is not None:
         current().say(f"{name}: {left_out}")

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from common.errors import DesignError, FileFormatError, require_type
+from common.errors import DesignError, require_type
 from geometry.design import SensorDesign
 from geometry.design_file import read_tolerances
 from tripillar.face import stages
@@ -312,14 +312,12 @@ def _checked_pairs(
     pairs: "stages.Samples | stages.Pairs", name: str, response: "stages.ArrayResponse", force: bool
 ) -> "tuple[stages.Pairs, dict[str, str]]":
     """Pairs whose stuck pillars count as not read, each once, and what a decoder must remember of doubts."""
-    if isinstance(pairs, stages.Pairs):
-        doubted = stages.doubt(pairs, stages.component_named("all"), stages.joint_model(response))
-        if doubted and not force:
-            raise FileFormatError(f"{doubted} Or take the pairs as they are with force=True.")
-        return pairs, {"forced": doubted} if doubted else {}
-    component = stages.component_named(stages.acting_component(pairs.force_n))
-    judge = stages.joint_model(response)
+    of_table, judge = isinstance(pairs, stages.Pairs), stages.joint_model(response)
+    component = stages.component_named("all" if of_table else stages.acting_component(pairs.force_n))
     forced = stages.heed(stages.doubt(pairs, component, judge), name, force)
+    if isinstance(pairs, stages.Pairs):
+        stages.mention(pairs, name, component, judge, bool(forced))
+        return pairs, forced
     stages.mention(pairs, name, component, judge, bool(forced or pairs.is_finite.any()))
     own = stages.SensorModel.of(response, component)
     columns = stages.without_stuck(stages.Columns.of(pairs, component), own)

@@ -12,7 +12,7 @@ from common.errors import DesignError
 from decoupler.model.settings import Feature, Net, Trainer
 from geometry.design import SensorDesign
 from geometry.design import Unit as PillarUnit
-from geometry.layout import require_told, told_by_tilt, untold
+from geometry.layout import FloatArray, require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.inputs import (
@@ -33,13 +33,13 @@ from tripillar.face.pressing import Turn, Unit, read_tool
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
     Response = stages.ArrayResponse | None
+    Predictions = FloatArray | File | None
 else:
     SeveralSamples = list[Path]
+    Predictions = Path | None
     Response = Annotated[None, Flag(parse=False)]  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
-GOAL = Flag(name=("--goal",))
-ITERATIONS = Flag(name=("--iterations",))
 AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
@@ -74,8 +74,8 @@ def train(
     hidden: int = 17,
     trainer: Trainer = "varpro",
     feature: Feature = "auto",
-    goal_mse: Annotated[float | None, GOAL] = None,
-    max_iterations: Annotated[int, ITERATIONS] = 0,
+    goal_mse: Annotated[float | None, Flag(name=("--goal",))] = None,
+    max_iterations: Annotated[int, Flag(name=("--iterations",))] = 0,
     seed: int = 0,
     design: DesignLike | None = None,
     response: Response = None,
@@ -93,8 +93,7 @@ def train(
         Forces that the network tells, along one axis or all; default: those that act, fz if pillars tell no others.
     touch : bool
         Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
-        solved, 4 minutes, once, or 5 where pillars are of another rubber; on stiff pads from forces and moments of the
-        plates, 10 seconds.
+        solved, which takes minutes, once; on stiff pads from forces and moments of the plates, seconds.
     shape : list of path, optional
         Files of tools that press, as of 'press': a decoder of touches knows them as well.
     turn_deg : float or str, optional
@@ -207,14 +206,14 @@ def evaluate(
     *,
     limits: Annotated[bool, Flag(negative=("--no-limits",))] = True,
     folds: int | None = None,
+    predictions: Predictions = None,
     response: Response = None,
     **training: Annotated[Any, TRAINING],
 ) -> "dict[str, stages.Assessment]":
-    """Show the errors of a model on a data set, beside what the readings allow; or cross-validate.
+    """Show the errors of a model, or of another's predictions, beside what the readings allow; or cross-validate.
 
     Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
-    stand beside. With folds there is no model: every sample is tested once, by a network that never saw it; folds run
-    in parallel processes, which import the program that calls: it calls below ``if __name__ == "__main__":``.
+    stand beside. With folds there is no model: every sample is tested once, by a network that never saw it.
 
     Parameters
     ----------
@@ -226,6 +225,9 @@ def evaluate(
         Compute the least error that the readings allow, too.
     folds : int, optional
         Number of parts to cross-validate, each tested once; the paper uses 10.
+    predictions : array or path, optional
+        Forces that another program makes of the same data, in place of a model: a NetCDF file with force_n (sample,
+        row, col, axis) [N], the samples in their order, NaN along axes that are left out.
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     **training
@@ -244,6 +246,10 @@ def evaluate(
     FileFormatError
         If the samples are of another sensor than the model's.
 
+    Notes
+    -----
+    Folds run in parallel processes, which import the program that calls: call below ``if __name__ == "__main__":``.
+
     Examples
     --------
     >>> import tripillar as tp
@@ -260,8 +266,8 @@ def evaluate(
     caller, name, named = current(), name_of(data, "samples"), name_of(model, "model")
     if data is None:
         raise DesignError("give data=, samples to test on.")
-    if (model is None) == (folds is None):
-        raise DesignError("give model=, or folds= to cross-validate: one of them.")
+    if sum(each is None for each in (model, folds, predictions)) != 2:
+        raise DesignError("give model=, predictions=, or folds= to cross-validate: one of them.")
     if folds is not None:
         asked = signature(train).bind(data, response=response, **training)
         asked.apply_defaults()
@@ -269,7 +275,13 @@ def evaluate(
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
-    assert model is not None  # there are no folds
+    if predictions is not None:
+        samples = samples_of(data)
+        solved = stages.response_of(samples, name, samples.design, response) if limits else None
+        assessed = Evaluation(stages.assess_predictions(_predicted(predictions), samples, solved))
+        caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
+        return assessed
+    assert model is not None  # there are neither folds nor predictions
     decoupler, samples = model_of(model), samples_of(data)
     stages.require_same_sensor(decoupler, samples, Path(named), Path(name))
     if sensor := samples.design or decoupler.design:
@@ -288,6 +300,14 @@ def evaluate(
     return assessed
 
 
+def _predicted(source: "FloatArray | File") -> "FloatArray":
+    """Forces of another program, or those of its file."""
+    if not isinstance(source, Path | str):
+        return np.asarray(source, float)
+    wanted = {"force_n": stages.VARIABLES["force_n"].dims}
+    return stages.read_netcdf(Path(source), wanted, "xarray: ds.to_netcdf(FILE)").data_vars["force_n"].values
+
+
 def _cross_validated(
     samples: "stages.AnySamples", name: str, folds: int, asked: dict[str, Any]
 ) -> "dict[str, stages.Assessment]":
@@ -302,9 +322,8 @@ def _cross_validated(
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
     result = {"feature": network.feature} | stages.summary(tested)
     current().answer(lambda: result, lambda: [stages.crossval_table(tested)])
-    nothing: dict[str, Any] = {"limits": None, "ratio": None, "baselines": {}, "coverage": None}
     over_folds = stages.over_folds(tested, np.mean)
-    return Evaluation({force: stages.Assessment(errors=errors, **nothing) for force, errors in over_folds.items()})
+    return Evaluation({force: stages.Assessment(errors=errors) for force, errors in over_folds.items()})
 
 
 def _touch_decoder(

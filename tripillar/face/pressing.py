@@ -21,7 +21,7 @@ else:
 Unit = Literal["mm", "cm", "m", "inch"]
 MAX_STEEPNESS = 0.5  #: beyond, rubber beside the shape is strained by more than some 10 %
 USUAL_DEPTH = 0.05  #: of the slab's height
-#: at a fifth to a third of the height, from `studies.bench.peers.finite_contact`
+#: at a fifth to a third of the height, from `python -m studies peers finite`
 PUSHES_LESS = "neo-Hookean rubber pushes back 2 to 17 % less there under balls, 8 to 16 % under flat punches"
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
 #: sizes of each shape, that which it needs first

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import TABLES, holds_samples, write_table
-    from dataset.variables import ARRAYS
+    from dataset.variables import ARRAYS, VARIABLES
     from decoupler.data.columns import Columns, acting_component, component_named
     from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import usual_loads
-    from decoupler.evaluation.assessment import Assessment, as_plain, assess
+    from decoupler.evaluation.assessment import Assessment, as_plain, assess, assess_predictions
     from decoupler.evaluation.crossval import Fold, cross_validate, over_folds, split_folds, summary
     from decoupler.evaluation.metrics import ForceErrors, evaluate as errors_on
     from decoupler.evaluation.plausibility import doubt, nothing_to_learn
@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from fem.scene.solution import Solution, solution_as_plain
     from geometry.design_file import states_twin
     from geometry.mould import write_cad
+    from common.storage.netcdf import read_netcdf
     from common.pool import open_pool, require_pool
     from hardware.boards.simulated import (
         PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,

@@ -11,7 +11,7 @@ from geometry.layout import AXES
 from tripillar.face import stages
 
 MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
-NO_SHARE = "–: some pads of these samples bear no load, of which no error is a share (eq. 17)"
+NO_SHARE = "–: some of these forces are near 0, of which no error is a share (eq. 17)"
 ERRORS = ("relative error", "RMSE [N]", "% of full scale")
 
 
@@ -69,13 +69,20 @@ def stage_table(ran: "list[stages.Stage]") -> Table:
 
 def assessment_table(assessed: "Mapping[str, stages.Assessment]") -> Table:
     """Errors of one model on one dataset, beside the limit of the readings and the simplest decouplers."""
-    shares = [f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}" for name, one in assessed.items()]
-    caption = f"errors within the 68 % and 95 % deviation: {', '.join(shares)}"
+    shares = [
+        f"{name} {one.coverage[0]:.1%} and {one.coverage[1]:.1%}" for name, one in assessed.items() if one.coverage
+    ]
+    caption = f"errors within the 68 % and 95 % deviation: {', '.join(shares)}" if shares else ""
     if any(one.errors.rel_err is None for one in assessed.values()):
         caption += f"\n{NO_SHARE}"
     table = _headed(("force", "decoupler"), (*ERRORS, "times the limit"), caption=caption)
     for name, one in assessed.items():
-        table.add_row(name, "this model", *_cells(one.errors), "–" if one.ratio is None else f"{one.ratio:.3f}")
+        table.add_row(
+            name,
+            "this model" if one.coverage else "predictions",
+            *_cells(one.errors),
+            "–" if one.ratio is None else f"{one.ratio:.3f}",
+        )
         if one.limits is not None:
             unbiased = one.limits.cramer_rao_n
             shown = "not determined" if unbiased is None else f"{unbiased:.3f}"

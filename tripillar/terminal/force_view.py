@@ -132,7 +132,7 @@ def show_forces(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
     full_scale = min(MIN_FULL_SCALE_N, MIN_FULL_SCALE * float((np.abs(usual.centre) + usual.half_range).max()))
     shown, heard = 0.0, time.monotonic()
     with Live(console=Console(), auto_refresh=False) as screen:
-        for scan in scans_within(scanner, seconds):
+        for scan in scans_within(scanner, seconds, least=1):
             if scan is not None:
                 newest.append(scan)
                 heard = time.monotonic()
@@ -194,7 +194,7 @@ def print_lines(sensor: LiveSensor, seconds: float, streams: Sequence[Stream] = 
     try:
         if describes:
             print(json.dumps({"sensor": sensor.description.plain()}), flush=True)
-        for scan in scans_within(sensor.scanner, seconds):
+        for scan in scans_within(sensor.scanner, seconds, least=1):
             if sensor.scanner.trouble != trouble:
                 trouble = sensor.scanner.trouble
                 print(json.dumps({"time_s": time.time(), "trouble": trouble}), flush=True)

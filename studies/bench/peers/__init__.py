@@ -1,4 +1,4 @@
-"""Other programs on the same scenes, each used as its experts would: NGSolve.
+"""Other programs on the same scenes, each used as its experts would: NGSolve and CalculiX.
 
-Open `ngsolve_peer.py` first; `conduction.py` and `contact.py` hold two solvers of the product to NGSolve.
+`ngsolve_by_hand.py` and `calculix.py` race in `gate.py`; `table.py` holds contact and conduction to NGSolve.
 """

@@ -3,8 +3,6 @@
 The deck is written here and not timed; `ccx` alone is. Nothing estimates its error.
 """
 
-import os
-import subprocess
 import tempfile
 from itertools import product
 from pathlib import Path
@@ -12,8 +10,9 @@ from shutil import which
 
 import numpy as np
 
-from fem.scene.scene import Block, Scene
+from fem.scene.scene import Scene
 from geometry.layout import FloatArray
+from studies.bench.processes import timed
 
 #: places of a C3D20's nodes, in halves of its edges
 PLACES = "000 200 220 020 002 202 222 022 100 210 120 010 102 212 122 012 001 201 221 021"
@@ -24,14 +23,6 @@ CORNERS, MIDDLES = slice(4, 8), slice(12, 16)  #: nodes of the upper face
 def missing() -> str:
     """The program, where it is not installed."""
     return "" if which("ccx") else "ccx is not installed (Debian: calculix-ccx)"
-
-
-def takes(scene: Scene) -> bool:
-    """True for a block pressed down in the middle of its top."""
-    if not isinstance(scene.body, Block) or scene.inclusions or len(scene.loads) != 1:
-        return False
-    (load,) = scene.dead_loads
-    return load.center_mm == scene.outline.base_mm[:2] and not any(load.traction_mpa[:2])
 
 
 def lines_of(scene: Scene, n: int) -> list[FloatArray]:
@@ -47,8 +38,8 @@ def lines_of(scene: Scene, n: int) -> list[FloatArray]:
     return [*flat, crowded(0, scene.height_mm, more, True)]
 
 
-def deck_of(scene: Scene, n: int) -> tuple[str, dict[int, float], int]:
-    """The input of `ccx`, weights of nodes in the mean of the patch, and the number of unknowns."""
+def deck_of(scene: Scene, n: int) -> tuple[str, dict[int, float]]:
+    """The input of `ccx`, and weights of nodes in the mean of the patch."""
     lines = lines_of(scene, n)
     fine = [np.sort(np.append(line, (line[1:] + line[:-1]) / 2)) for line in lines]
     boxes = np.array(list(product(*(range(0, 2 * len(line) - 2, 2) for line in lines))))
@@ -76,19 +67,15 @@ def deck_of(scene: Scene, n: int) -> tuple[str, dict[int, float], int]:
     out += [f"{rubber.young_mpa},{rubber.poisson}", "*SOLID SECTION, ELSET=E, MATERIAL=M"]
     out += ["*BOUNDARY", "X,1", "Y,2", "Z,1,3", "*STEP", "*STATIC", "*DLOAD"]
     out += [f"{k + 1},P2,{-load.traction_mpa[2]}" for k in np.flatnonzero(loaded)]
-    return "\n".join([*out, "*NODE PRINT, NSET=P", "U", "*END STEP", ""]), weights, points.size
+    return "\n".join([*out, "*NODE PRINT, NSET=P", "U", "*END STEP", ""]), weights
 
 
 def solve_by_calculix(scene: Scene, n: int) -> tuple[dict[str, FloatArray], float]:
     """The mean of the patch under the scene's one probe, and processor seconds of `ccx`, on one thread."""
-    deck, weights, _ = deck_of(scene, n)
+    deck, weights = deck_of(scene, n)
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "deck.inp").write_text(deck, encoding="ascii")
-        before = os.times()
-        alone = os.environ | {"OMP_NUM_THREADS": "1"}
-        subprocess.run(["ccx", "-i", "deck"], cwd=folder, capture_output=True, check=True, env=alone)
-        after = os.times()
+        _, seconds = timed("ccx", "-i", "deck", folder=Path(folder))
         rows = [line.split() for line in Path(folder, "deck.dat").read_text(encoding="ascii").splitlines()]
     sunk = sum(weights[int(row[0])] * float(row[3]) for row in rows if len(row) == 4 and row[0].isdigit())
-    seconds = after.children_user + after.children_system - before.children_user - before.children_system
     return {scene.probes[0].name: np.array([0.0, 0.0, sunk])}, seconds

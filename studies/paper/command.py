@@ -1,9 +1,8 @@
-"""``python -m studies.paper``: the paper's figures 6 to 11, tables 1 and 2 and its claim on spacing, from our data."""
+"""``python -m studies paper``: the paper's figures 6 to 11, tables 1 and 2 and its claim on spacing, from our data."""
 
 import shutil
 from dataclasses import asdict
 from functools import partial
-from json import dumps
 from pathlib import Path
 from typing import Annotated
 
@@ -13,31 +12,30 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from common.errors import DesignError
-from common.storage.files import replacing, write_text
+from common.storage.cache import kept_value
+from common.storage.files import replacing, write_json, write_text
 from studies.paper import pictures
 from studies.paper.deformation import study_deformation
 from studies.paper.experiments import Experiments, cache_key_of, run_experiments
 from studies.paper.report import Computed, as_html, as_markdown
-from studies.paper.results import Results, kept
+from studies.paper.results import Results
 from studies.paper.spacing import Asked, Spacing, spacing_cache_key, study_spacing
-from studies.program import run_alone
 from tripillar.face.inputs import design_of
 from tripillar.pipeline.stage import respond
 from tripillar.terminal.entry import wrote
 from tripillar.terminal.progress import Bars
 
-PAGE, MARKDOWN, RESULTS, SPACING = "index.html", "paper.md", "results.json", "spacing.json"
+PAGE, MARKDOWN, NUMBERS = "index.html", "paper.md", "paper.json"
 PICTURES = (*(f"figure-{number}.png" for number in range(6, 12)), "spacing.png")
 MIN_UNITS = 4  #: along x and along y, for the decay of influence
 AGAIN = "reused, nothing changed"
 PLAIN_COLUMNS = 140  #: width of the report where stdout is no terminal
 
 
-def write_report(
+def paper(
     out: Annotated[Path, Parameter(help="Folder for the page, its pictures and JSON.")] = Path("out/paper"),
     docs: Annotated[Path | None, Parameter(help="Also put Markdown and pictures into this folder.")] = None,
     design: Annotated[Path | None, Parameter(help="Design file (TOML); default: the paper's sensor.")] = None,
-    json: Annotated[bool, Parameter(help="Print the result as one JSON object on stdout.")] = False,
     quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), help="Print no progress.")] = False,
 ) -> None:
     """Write the report; what was computed before from the same settings is reused."""
@@ -53,17 +51,17 @@ def write_report(
         solved, asked, experiments = response.design, Asked(), Experiments()
         steps = 2 * len(asked.pitches_mm) + len(asked.wider_mm)
         advance = bars.begin("spacing", total=steps)
-        spacing, new = kept(
-            out / SPACING, spacing_cache_key(solved, asked), Spacing,
+        spacing, _, reused = kept_value(
+            Spacing, "spacing.npz", spacing_cache_key(solved, asked),
             lambda: study_spacing(solved, asked, lambda step: advance(1, step)),
         )  # fmt: skip
-        if not new:
+        if reused:
             advance(steps, AGAIN)
-        results, new = kept(
-            out / RESULTS, cache_key_of(response, experiments), Results,
+        results, _, reused = kept_value(
+            Results, "paper.npz", cache_key_of(response, experiments),
             lambda: run_experiments(response, experiments, bars),
         )  # fmt: skip
-        if not new:
+        if reused:
             bars.begin("trainings", total=1)(1, AGAIN)
         deformation = study_deformation(response)
         computed = Computed(response=response, deformation=deformation, spacing=spacing, results=results)
@@ -77,13 +75,11 @@ def write_report(
             with replacing(docs / name) as temporary:
                 shutil.copyfile(out / name, temporary)
             files.append(docs / name)
-    if json:
-        parts = {name: asdict(getattr(computed, name)) for name in ("deformation", "spacing", "results")}
-        print(dumps(parts, indent=2))
-    else:
-        console = Console()
-        (console if console.is_terminal else Console(width=PLAIN_COLUMNS)).print(Markdown(text))
-    wrote([out / RESULTS, out / SPACING, *files])
+    numbers = {name: asdict(getattr(computed, name)) for name in ("deformation", "spacing", "results")}
+    write_json(numbers, out / NUMBERS)
+    console = Console()
+    (console if console.is_terminal else Console(width=PLAIN_COLUMNS)).print(Markdown(text))
+    wrote([out / NUMBERS, *files])
 
 
 def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
@@ -102,7 +98,3 @@ def draw_pictures(computed: Computed, out: Path, bars: Bars) -> None:
     for name, draw in zip(PICTURES, drawings, strict=True):
         draw(out / name)
         advance(1, name)
-
-
-if __name__ == "__main__":
-    run_alone(write_report)
