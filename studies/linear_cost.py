@@ -103,7 +103,9 @@ def draw(folder: Path) -> None:
         section.plot(*(top + moved)[:, [0, 2]].T, color=colour, label=name)
         sinking.plot((0.0, *PRESSURES_MPA), sunk_mm, "o-", color=colour, label=name)
     section.axhline(high, color="0.6", linewidth=0.8, label="at rest")
-    section.set(xlabel="x [mm]", ylabel="z [mm]", title=f"top of the slab at y = 0, {mpa:g} MPa on the middle plate")
+    section.set(
+        xlabel="x [mm]", ylabel="z [mm]", title=f"top of the slab at y = 0: three plates, {mpa:g} MPa on the middle one"
+    )
     sinking.set(xlabel="mean pressure under the plate [MPa]", ylabel=f"the plate sinks, of {high:g} mm, by [mm]")
     for axes in (section, sinking):
         axes.legend(frameon=False)
