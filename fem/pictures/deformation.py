@@ -196,9 +196,8 @@ def add_words(plotter: pv.Plotter, words: Mapping[str, FloatArray], height_mm: f
     """Write words, each about a place (3,), with letters of a height that turn with the camera."""
     written = []
     for word, place_mm in words.items():
-        flat, letters = pv.Text3D(word, depth=0.0), vtkFollower()
-        flat.points = (flat.points - flat.center) * height_mm / pv.Text3D("0").bounds_size[1]
-        letters.SetMapper(pv.DataSetMapper(flat))
+        letters = vtkFollower()
+        letters.SetMapper(pv.DataSetMapper(pv.Text3D(word, depth=0.0, height=height_mm)))
         letters.SetPosition(*place_mm)
         letters.SetCamera(plotter.camera)
         letters.GetProperty().SetColor(pv.Color(INK).float_rgb)
@@ -218,8 +217,7 @@ def add_axes(plotter: pv.Plotter, viewport: tuple[float, float, float, float], c
 class DeformedPicture:
     """Loaded bodies side by side, coloured by one scale: pillars in a translucent matrix, and how they were at rest.
 
-    Each has a scale bar before it; below all are the axes, the colour bar, a key to the reds of loaded pads, grey where
-    there is no load, and the factor of displacement.
+    Each has a scale bar; below all are the axes, the colour bars and the factor of displacement.
 
     `panels` are one picture each, its name above it: parts named matrix are translucent, pads are outlined, the rest is
     solid. Displacement is drawn `scale` times as large; all cameras but "iso" are parallel projections. Frames of films
@@ -259,8 +257,7 @@ class DeformedPicture:
             for parts in panels.values() for part in parts.values() for share in (0.0, 1.0)
         ]  # fmt: skip
         body_mm = np.vstack(seen)
-        bar_mm = scale_bar(body_mm, camera)
-        middle_mm = (body_mm.min(axis=0) + body_mm.max(axis=0)) / 2
+        bar_mm, middle_mm = scale_bar(body_mm, camera), (body_mm.min(axis=0) + body_mm.max(axis=0)) / 2
         seen.append(middle_mm + NUMBERED * (body_mm - middle_mm) if medium == "page" else bar_mm)
         view, is_parallel, is_bare = VIEWS[camera], camera != "iso", medium in ("page", "live")
         #: width over height of one picture

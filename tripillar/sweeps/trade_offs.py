@@ -132,7 +132,7 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     shades = ScalarMappable(norm=norm, cmap="viridis")
     if variable.changes:
         for number, text in enumerate(variable.values):
-            panels[-1].scatter([], [], s=42, color=shades.to_rgba(number), label=str(text))
+            panels[-1].scatter([], [], s=42, color=shades.to_rgba(np.array([number])), label=str(text))
     else:
         figure.colorbar(shades, ax=figure.axes, label=variable.label, pad=0.01)
     title = variable.label if variable.changes else None
