@@ -19,11 +19,10 @@ from dataset.protocols import PROTOCOLS
 from dataset.resistance import pillar_lengths, pillar_strains
 from fem.finite.samples import SampleSolver
 from fem.pictures.arrays import pressed_sensor
-from fem.pictures.deformation import DeformedPicture
-from fem.pictures.parts import solve_scene_parts
+from fem.pictures.parts import scene_field
 from geometry.design import Array, Pad, SensorDesign, with_model
 from geometry.layout import FloatArray
-from studies.charts import save_screen
+from studies.charts import BLUE, ORANGE, finish, new_figure
 from studies.pages import markdown
 
 PROTOCOL = "three-axis"
@@ -34,7 +33,7 @@ CAP = 0.3  #: largest strain of a pillar, as of datasets
 NEAR = 1e-3  #: of the loads' root mean square: how little a force must miss before the inverse has settled
 DESIGN = SensorDesign(array=Array(rows=3, cols=3), pad=Pad(kind="stiff"))
 TABLE = re.compile("(?<=<!-- table -->\n).*?(?=<!-- end -->)", re.DOTALL)
-PICTURE_MPA = 3.0
+PRESSURES_MPA = (1.0, 2.0, 3.0, 4.0, 5.0)  #: of the picture; the last is shown in section
 
 
 def costs(samples: int) -> Iterator[list[str]]:
@@ -86,18 +85,31 @@ def inverse(length_mm: FloatArray, compliance: FloatArray) -> FloatArray:
 
 
 def draw(folder: Path) -> None:
-    """One pad of a row under `PICTURE_MPA` by linear elasticity and at finite strain, true scale, side by side."""
+    """One pad of a row, by linear elasticity and at finite strain: the top under it, and how far it sinks."""
     row = replace(DESIGN, array=Array(rows=1, cols=3))
-    own = row.matrix_material.model
+    own, (wide, _, high) = row.matrix_material.model, row.slab_mm
     models = {"linear": "linear", "finite strain": "neo-hookean" if own == "linear" else own}  # as `SampleSolver`
-    designs = {name: with_model(row, model) for name, model in models.items()}
-    panels = {}
-    for name, design in designs.items():
-        every = pressed_sensor(design, "uniform", PICTURE_MPA)
-        one = tuple(load if load.center_mm == (0.0, 0.0) else load.times(0.0) for load in every.loads)
-        panels[f"{name}: {PICTURE_MPA:g} MPa on one pad"] = solve_scene_parts(replace(every, loads=one), stress=False)
-    picture = DeformedPicture(panels, camera="front")
-    save_screen(picture, folder / "linear-and-finite.png")
+    along = np.linspace(-wide / 2, wide / 2, 501)
+    top = np.column_stack([along, 0.0 * along, np.full_like(along, high)])
+    figure = new_figure(12, 4.2, dpi=100)
+    section, sinking = figure.subplots(1, 2, width_ratios=(1.8, 1.0))
+    for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=True):
+        sunk_mm = [0.0]
+        for mpa in PRESSURES_MPA:
+            every = pressed_sensor(with_model(row, model), "uniform", mpa)
+            one = tuple(load if load.center_mm == (0.0, 0.0) else load.times(0.0) for load in every.loads)
+            moved = scene_field(replace(every, loads=one)).displacement_at(top)
+            sunk_mm.append(-float(moved[len(top) // 2, 2]))
+        section.plot(*(top + moved)[:, [0, 2]].T, color=colour, label=name)
+        sinking.plot((0.0, *PRESSURES_MPA), sunk_mm, "o-", color=colour, label=name)
+    section.axhline(high, color="0.6", linewidth=0.8, label="at rest")
+    section.set(
+        xlabel="x [mm]", ylabel="z [mm]", title=f"top of the slab at y = 0: three plates, {mpa:g} MPa on the middle one"
+    )
+    sinking.set(xlabel="mean pressure under the plate [MPa]", ylabel=f"the plate sinks, of {high:g} mm, by [mm]")
+    for axes in (section, sinking):
+        axes.legend(frameon=False)
+    finish(figure, folder / "linear-and-finite.png")
 
 
 def linear_cost(docs: Path, samples: Annotated[int, Parameter(help="Samples of each peak.")] = 3) -> None:

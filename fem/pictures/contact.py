@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from common.storage.files import replacing
 from fem.contact.indentation import OPEN, STICK, Contact
@@ -11,12 +13,14 @@ from geometry.layout import FloatArray, electrode_squares, pad_squares, unit_cen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.contour import QuadContourSet
     from matplotlib.quiver import Quiver
 
 ARROWS = 14  #: of shear along the longer side of the contact
 BLUE, ORANGE, PINK, INK, GREY = "#0072b2", "#ff8c5a", "#e0218a", "#222222", "#9a9a9a"
 SHARE = 0.9  #: of the pitch: the longest arrow of a unit's tangential force
 AS_DRAWN: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+ROUNDED = 1.2  #: cells, over which edges of the contact and of what sticks are rounded
 MIN_ARROW = 0.02  #: of the pitch: shorter ones are left out
 
 
@@ -38,8 +42,8 @@ def draw_contact(contact: Contact, path: Path) -> None:
     fx, fy, fz = contact.net_force_n.round(2) + 0.0  # no −0.00
     x, y = contact.centre_mm.round(2) + 0.0
     figure.suptitle(
-        f"{contact.depth_mm:g} mm deep, friction {contact.friction:g}: net force {fx:.2f}, {fy:.2f}, {fz:.2f} N, "
-        f"centre of pressure {x:.2f}, {y:.2f} mm",
+        f"{contact.depth_mm:g} mm deep, friction {contact.friction:g}: net force Fx {fx:.2f} N, Fy {fy:.2f} N, "
+        f"Fz {fz:.2f} N; centre of pressure x {x:.2f} mm, y {y:.2f} mm",
         fontsize=11,
     )
     with replacing(path) as temporary:
@@ -51,7 +55,7 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
     x, y = (pitch * (np.arange(n + 1) - n / 2) for n in (design.array.cols, design.array.rows))
     shown = axes.pcolormesh(x, y, contact.force_n[..., 2], cmap="Reds", vmin=0.0, edgecolors="white", linewidth=1.0)
     axes.figure.colorbar(shown, ax=axes, label="normal force on a unit [N]", shrink=0.85)
-    _outline(axes, electrode_squares(design), color=GREY, linewidth=0.8)
+    _outline(axes, electrode_squares(design), color=GREY, linewidth=0.8, label="upper electrodes")
     shear = contact.force_n.reshape(-1, 3)[:, :2]
     largest = float(np.hypot(*shear.T).max())
     if contact.friction and largest > 0:
@@ -61,7 +65,7 @@ def _draw_units(axes: "Axes", contact: Contact) -> None:
         _explain(axes, drawn, SHARE * pitch, f"tangential force of {largest:.3g} N")
     patch = np.array([[*contact.patch.low_mm, *contact.patch.high_mm]])
     _outline(axes, patch, color=INK, linewidth=1.0, linestyle="--", label="shown beside")
-    axes.set_title("forces on the units", pad=26)
+    axes.set_title("forces on the units, from above", pad=26)
 
 
 def _outline(axes: "Axes", rectangles_mm: FloatArray, **look: Any) -> None:
@@ -76,16 +80,23 @@ def _outline(axes: "Axes", rectangles_mm: FloatArray, **look: Any) -> None:
 def _draw_patch(axes: "Axes", contact: Contact) -> None:
     patch, state = contact.patch, contact.state
     box: Any = (patch.low_mm[0], patch.high_mm[0], patch.low_mm[1], patch.high_mm[1])
-    pressure = np.where(state == OPEN, np.nan, contact.pressure_mpa)
-    shown = axes.imshow(pressure, origin="lower", extent=box, cmap="viridis", vmin=0.0)
+    pressure = np.where(state == OPEN, 0.0, contact.pressure_mpa)
+    shown = axes.imshow(pressure, origin="lower", extent=box, cmap="viridis", vmin=0.0, interpolation="bilinear")
     axes.figure.colorbar(shown, ax=axes, label="pressure [MPa]", shrink=0.85)
-    axes.contour(patch.x_mm, patch.y_mm, state != OPEN, levels=[0.5], colors=[INK], linewidths=1.2)
-    axes.plot([], [], color=INK, label="edge of the contact")
+
+    def around(cells: NDArray[np.bool_], label: str, **look: Any) -> "QuadContourSet":
+        """A line around cells, its corners rounded."""
+        axes.plot([], [], **look, label=label)
+        smooth = gaussian_filter(cells.astype(float), ROUNDED)
+        look = {"colors": [look["color"]], "linewidths": look["linewidth"]}
+        return axes.contour(patch.x_mm, patch.y_mm, smooth, levels=[0.5], **look)
+
+    edge = around(state != OPEN, "edge of the contact", color=INK, linewidth=1.2)
+    shown.set_clip_path(edge.get_paths()[0], axes.transData)
     if contact.friction:
         sticks = state == STICK
         if sticks.any() and not sticks.all():
-            axes.contour(patch.x_mm, patch.y_mm, sticks, levels=[0.5], colors=[PINK], linewidths=2.0)
-            axes.plot([], [], color=PINK, linewidth=2.0, label="sticks inside, slips outside")
+            around(sticks, "sticks inside, slips outside", color=PINK, linewidth=2.0)
         every = max(1, round(max(patch.nx, patch.ny) / ARROWS))
         some = np.s_[every // 2 :: every]
         shear = contact.shear_mpa[:, some, some]

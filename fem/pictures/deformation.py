@@ -1,7 +1,6 @@
 """Pictures of deformed bodies in three dimensions, by pyvista: bodies, their colour bars, a scale bar and axes.
 
-The scale bar and the axes stand beside a body as meshes in its coordinates, so they are right in perspective, in a film
-and turned in a browser, too. Names and colour bars are flat, in strips of their own.
+Letters face the reader from wherever one looks. Names, axes and colour bars are in strips of their own.
 """
 
 import os
@@ -10,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from vtkmodules.vtkRenderingCore import vtkFollower
 
 from fem.kernel.field import pressure, von_mises
 from fem.pictures.parts import Part, Parts
@@ -32,9 +33,10 @@ Camera = Literal["iso", "top", "front", "side"]
 WIDE_PX = {1: (992, 1376), 2: (640, 880)}  #: least and most of one picture, and of each of several
 HIGH_PX = 880  #: of a picture, where its width leaves a choice
 NAME_PX, LEGEND_PX = 64, 112  #: heights of the strips above and below pictures
+NOTE = 34  #: letters of a line beside the colour bars
 MARGIN = 0.03  #: of a picture's width or height, around what it shows
+NUMBERED = 1.2  #: of a body, that it takes with numbers around it
 VIEW_ANGLE = 30.0  #: degrees, of the camera; pages know no other
-MIN_STRENGTH = 0.02  #: of the strongest traction: pads with less are not outlined
 SHARP = 60.0  #: degrees, between faces that meet in an edge that is drawn
 #: of the body's height, by which electrodes are drawn before the pillars' ends, and pads' outlines above them
 LIFT, PAD_LIFT = 0.015, 0.02
@@ -42,7 +44,8 @@ SOLID = {"ambient": 0.3, "diffuse": 0.75, "specular": 0.2, "specular_power": 18}
 GLASSY = {"ambient": 0.2, "specular": 0.7, "specular_power": 12}
 INK = "#21292f"
 FONT = Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")  #: of names, as of legends
-LETTER, AXES = 0.024, 0.08  #: height of letters beside a body, and length of the axes' arrows, of its larger side
+#: of a body's larger side: height of letters beside it, and distance of the scale bar, and of its letters from that
+LETTER, BESIDE = 0.02, 0.025
 #: from what is seen to the camera, and upright in the picture
 VIEWS: dict[Camera, tuple[Triple, Triple]] = {
     "iso": ((1.0, -1.65, 1.1), (0.0, 0.0, 1.0)),
@@ -51,13 +54,15 @@ VIEWS: dict[Camera, tuple[Triple, Triple]] = {
     "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
 }
 
-SHOWN_SHARE = 0.998  #: of the volume, whose stress ends the colours: at edges it has no bound
+SHOWN_SHARE = 0.98  #: of the volume, whose stress ends the colours: at edges it has no bound
 ROOM = 0.15  #: of a scale, that a label takes
 SHADES = 255  #: colours of a scale; odd, so that the middle one of a scale of both signs is white
+#: from 0 up, without the darkest colours, which a dark page hides
+FAR, TENSE = (ListedColormap(colormaps[name](np.linspace(0.3, 1.0, 1021))) for name in ("viridis", "plasma"))
 #: from below 0 to above
 SIGNED = LinearSegmentedColormap.from_list("", ["#053061", "#3f8ec0", "#ffffff", "#d6604d", "#67001f"], N=1021)
-#: outlines of pads, from hardly loaded to the most
-LOADED = LinearSegmentedColormap.from_list("", ["#fcbba1", "#de2d26", "#67000d"], N=1021)
+#: outlines of pads, from unloaded to the most
+LOADED = LinearSegmentedColormap.from_list("", ["#a7b0b8", "#ee8f77", "#de2d26", "#67000d"], N=1021)
 #: titles of the bar of pads' outlines, by the part that is outlined: uniform traction, or what a plate passes on
 PAD_TITLES = {"pads": "traction on a pad [MPa]", "plates": "mean traction under a plate [MPa]"}
 COLOURED_NOT = ("matrix", "electrodes", *PAD_TITLES)  #: parts whose colour says nothing of a field
@@ -75,11 +80,9 @@ class Quantity:
 
 
 QUANTITIES: dict[Colour, Quantity] = {
-    "displacement": Quantity(
-        "displacement [mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), colormaps["viridis"]
-    ),
+    "displacement": Quantity("displacement [mm]", lambda p: np.linalg.norm(p.displacement_mm, axis=1), FAR),
     "vertical": Quantity("vertical displacement [mm]", lambda p: p.displacement_mm[:, 2]),
-    "mises": Quantity("von Mises stress [MPa]", lambda p: von_mises(p.stress), colormaps["plasma"], of_stress=True),
+    "mises": Quantity("von Mises stress [MPa]", lambda p: von_mises(p.stress), TENSE, of_stress=True),
     "pressure": Quantity("pressure [MPa]", lambda p: pressure(p.stress), of_stress=True),
 }
 
@@ -119,7 +122,7 @@ class Bar:
 def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
     """One colour bar for several pictures: it ends at the least and the largest value, 0 among its values.
 
-    Of stress, which has no bound at edges, it ends where 99.8 % of the volume (of surfaces: of the area) has less, and
+    Of stress, which has no bound at edges, it ends where 98 % of the volume (of surfaces: of the area) has less, and
     says so. A share of the points instead would depend on how many of them a mesh has at the edges.
     """
     solid = [(name, part) for parts in panels for name, part in parts.items() if name not in COLOURED_NOT]
@@ -159,10 +162,10 @@ def shades(colours: Colormap, low: float = 0.0, high: float = 1.0) -> list[str]:
 
 def legend(bars: Sequence[Bar], notes: Sequence[str], wide: int) -> Figure:
     """Bars side by side, the first one the widest, and notes at the right, one line each; so many pixels wide."""
-    figure, left, gap = Figure(dpi=100), 0.04, 0.05
+    figure, left, gap = Figure(dpi=100), (LEGEND_PX + 20) / wide, 0.05
     note = (12 * max(map(len, notes)) + 40) / wide  # letters are about 0.55 of their height wide
     shares = np.array([1.6] + [1.0] * (len(bars) - 1))
-    widths = shares / shares.sum() * (1.0 - 2 * left - note - gap * (len(bars) - 1))
+    widths = shares / shares.sum() * (0.96 - left - note - gap * (len(bars) - 1))
     for bar, width in zip(bars, widths, strict=True):
         axes = figure.add_axes((left, 0.44, width, 0.14))
         colours = ScalarMappable(Normalize(bar.low, bar.high), ListedColormap(bar.colours))
@@ -176,52 +179,45 @@ def legend(bars: Sequence[Bar], notes: Sequence[str], wide: int) -> Figure:
     return figure
 
 
-def draw_scenery(points_mm: FloatArray, camera: Camera) -> pv.PolyData:
-    """A scale bar with its length and named arrows along the axes, before and left of the body as a camera sees it.
+def scale_bar(points_mm: FloatArray, camera: Camera) -> FloatArray:
+    """Corners (4, 3) [mm] of a scale bar with its letters, before points (n, 3) as a camera sees them.
 
-    The body fills points (n, 3), at rest and loaded. Letters face the camera.
+    The first two are the ends of its line, which is of a round length.
     """
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     right, up = np.eye(3)[1 if camera == "side" else 0], np.eye(3)[1 if camera in ("iso", "top") else 2]
-    if camera in ("front", "side"):  # in the middle of the depth, or the nearest plane that is drawn would cut it off
-        low = np.where(right + up > 0, low, (low + high) / 2)
-    size, width = float((high - low).max()), float((high - low) @ right)
-    letter, shaft, length = LETTER * size, AXES * size, float(np.array(ROUND.tick_values(0.0, width))[1])
-    start = low + (width - length) * right - 1.8 * letter * up
-    ends, tick = (start, start + length * right), 0.3 * letter * up
-    lines = [ends, *((end - tick, end + tick) for end in ends)]
-    meshes = [pv.Tube(pointa=one, pointb=other, radius=0.07 * letter, n_sides=8) for one, other in lines]
-    corner, (across, upright, toward) = low - (shaft + 3.6 * letter) * right, frame(*VIEWS[camera])
-    meshes.append(_word(f"{length:g} mm", start + length / 2 * right - 1.8 * letter * upright, letter, across, upright))
-    for axis, name in zip(np.eye(3), "xyz", strict=True):
-        if abs(axis @ toward) < 0.99:  # not at the onlooker
-            meshes.append(pv.Arrow(start=corner, direction=axis, scale=shaft, tip_length=0.3, shaft_radius=0.03))
-            meshes.append(_word(name, corner + (shaft + 0.9 * letter) * axis, letter, across, upright))
-    return pv.merge(meshes)
+    width, away = float((high - low) @ right), BESIDE * float((high - low).max()) * up
+    length = float(ROUND.tick_values(0.0, width)[1])
+    ends = low - away + np.array([[width - length], [width]]) * right
+    return np.vstack([ends, ends - 3 * away])
 
 
-def unit_names(rows: int, cols: int, pitch_mm: float) -> pv.PolyData:
-    """Names of an array's rows and columns as numbered in files, on the ground right of it and before it."""
-    letter = LETTER * pitch_mm * max(rows, cols)
-    x, y = (pitch_mm * (np.arange(n) - (n - 1) / 2) for n in (cols, rows))
-    edge, front = pitch_mm * cols / 2, -pitch_mm * rows / 2
-    places = [(f"col {j}" if j == 0 else f"{j}", (at, front - 1.2 * letter)) for j, at in enumerate(x)]
-    places += [(f"row {i}" if i == 0 else f"{i}", (edge + 1.6 * letter, at)) for i, at in enumerate(y)]
-    return pv.merge([_word(text, np.array([*place, 0.0]), letter, *np.eye(3)[:2]) for text, place in places])
+def add_words(plotter: pv.Plotter, words: Mapping[str, FloatArray], height_mm: float) -> list[vtkFollower]:
+    """Write words, each about a place (3,), with letters of a height that turn with the camera."""
+    written = []
+    for word, place_mm in words.items():
+        letters = vtkFollower()
+        letters.SetMapper(pv.DataSetMapper(pv.Text3D(word, depth=0.0, height=height_mm)))
+        letters.SetPosition(*place_mm)
+        letters.SetCamera(plotter.camera)
+        letters.GetProperty().SetColor(pv.Color(INK).float_rgb)
+        letters.GetProperty().LightingOff()
+        plotter.add_actor(letters, reset_camera=False)
+        written.append(letters)
+    return written
 
 
-def _word(text: str, centre: FloatArray, height: float, right: FloatArray, up: FloatArray) -> pv.PolyData:
-    """Flat letters about a point, along two directions, figures of a height."""
-    flat, figure = pv.Text3D(text, depth=0.0), pv.Text3D("0", depth=0.0)
-    flat.points = centre + height / figure.bounds_size[1] * (flat.points - flat.center)[:, :2] @ [right, up]
-    return flat
+def add_axes(plotter: pv.Plotter, viewport: tuple[float, float, float, float], colour: str = INK) -> None:
+    """Show the axes' directions in a part of a picture: left, lower, right and upper end, as fractions of it."""
+    names = {f"{axis}label": axis for axis in "xyz"}
+    plotter.add_axes(line_width=3, color=colour, viewport=viewport, label_size=(0.4, 0.24), **names)
+    plotter.renderer.axes_widget.SetZoom(1.4)
 
 
 class DeformedPicture:
     """Loaded bodies side by side, coloured by one scale: pillars in a translucent matrix, and how they were at rest.
 
-    Each has a scale bar and axes beside it; below all are the colour bar, a key to the reds of loaded pads and the
-    factor of displacement.
+    Each has a scale bar; below all are the axes, the colour bars and the factor of displacement.
 
     `panels` are one picture each, its name above it: parts named matrix are translucent, pads are outlined, the rest is
     solid. Displacement is drawn `scale` times as large; all cameras but "iso" are parallel projections. Frames of films
@@ -247,7 +243,7 @@ class DeformedPicture:
         draw_off_screen()
         self._quantity, self._scale, self._is_live = QUANTITIES[colour], scale, medium == "live"
         self.names = tuple(panels)
-        self._shows_all_pads, shown = over is not None, [*panels.values()] if over is None else over
+        shown = [*panels.values()] if over is None else over
         pads = pads_bar(shown)
         self.bars = (bar_of(self._quantity, shown), *([] if pads is None else [pads]))
         self.note = "displacement: true scale" if scale == 1 else f"displacement × {scale:g}"
@@ -256,30 +252,34 @@ class DeformedPicture:
         at_rest = {name: {each: part.times(0.0) for each, part in parts.items()} for name, parts in panels.items()}
         self._steps = [at_rest, *before, panels]  # equal ones of the load
         self.actors: dict[str, pv.Actor] = {}  #: by name of the part, of the last panel
-        seen = {}
-        for name, parts in panels.items():
-            rest = np.vstack([part.points_mm for part in parts.values()])
-            moved = np.vstack([part.displacement_mm for part in parts.values()])
-            seen[name] = np.vstack([rest, rest + scale * moved])
-        scenery = draw_scenery(np.vstack([*seen.values()]), camera)
-        seen = {name: np.vstack([points, scenery.points]) for name, points in seen.items()}
+        seen = [
+            part.points_mm + share * scale * part.displacement_mm
+            for parts in panels.values() for part in parts.values() for share in (0.0, 1.0)
+        ]  # fmt: skip
+        body_mm = np.vstack(seen)
+        bar_mm, middle_mm = scale_bar(body_mm, camera), (body_mm.min(axis=0) + body_mm.max(axis=0)) / 2
+        seen.append(middle_mm + NUMBERED * (body_mm - middle_mm) if medium == "page" else bar_mm)
         view, is_parallel, is_bare = VIEWS[camera], camera != "iso", medium in ("page", "live")
         #: width over height of one picture
-        self.aspect = min(place(pv.Camera(), points, *view, 1.0, is_parallel) for points in seen.values())
+        self.aspect = place(pv.Camera(), np.vstack(seen), *view, 1.0, is_parallel)
         self._line = 2.0 if medium in ("file", "window") else 1.0  # supersampling thins lines
         columns = columns or len(panels)
         rows = ceil(len(panels) / columns)
         self.plotter = self._plotter(rows, columns, medium, is_bare)
+        self.plotter.link_views()
+        place(self.plotter.camera, np.vstack(seen), *view, self.aspect, is_parallel)
         self._titles: dict[str, Any] = {}
         for number, (name, parts) in enumerate(panels.items()):
             row, column = divmod(number, columns)
             self.plotter.subplot(row if is_bare else 2 * row + 1, column)
             self._draw(name, parts)
-            if not self._is_live:
-                self.plotter.add_mesh(scenery, color=INK, lighting=False)
-            place(self.plotter.camera, seen[name], *view, self.aspect, is_parallel)
-            self.plotter.reset_camera_clipping_range()
+            if medium == "page":  # browsers know this one alone
+                titles = {f"{axis}title": f"{axis} [mm]" for axis in "xyz"}
+                self.plotter.show_bounds(mesh=pv.PolyData(body_mm), color=INK, **titles)
             if not is_bare:
+                self.plotter.add_lines(bar_mm[:2], color=INK, width=2 * self._line)
+                said, size_mm = f"{np.linalg.norm(bar_mm[1] - bar_mm[0]):g} mm", np.ptp(body_mm, axis=0).max()
+                add_words(self.plotter, {said: bar_mm[[0, 2]].mean(axis=0)}, LETTER * size_mm)
                 self.plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=False)
                 self.plotter.subplot(2 * row, column)
                 text = self.plotter.add_text(
@@ -289,10 +289,13 @@ class DeformedPicture:
                 self._titles[name] = text
         if not is_bare:
             self.plotter.subplot(2 * rows, 0)
-            notes = [note for note in (self.note, warning) if note]
-            chart = pv.ChartMPL(legend(self.bars, notes, self.plotter.window_size[0]), redraw_on_render=False)
+            notes, wide = wrap(self.note, NOTE) + wrap(warning, NOTE), self.plotter.window_size[0]
+            chart = pv.ChartMPL(legend(self.bars, notes, wide), redraw_on_render=False)
             chart.border_style = None
             self.plotter.add_chart(chart)
+            add_axes(self.plotter, (0, 0, LEGEND_PX / wide, 1))
+        for renderer in self.plotter.renderers:
+            renderer.reset_camera_clipping_range()
         self.press(1.0)
 
     def press(self, share: float) -> None:
@@ -364,8 +367,6 @@ class DeformedPicture:
             whole = part.grid
             whole["point"] = np.arange(len(part.points_mm))
             if part.traction_mpa is not None:
-                if not self._shows_all_pads:
-                    whole = whole.extract_cells(part.strength_mpa >= MIN_STRENGTH * part.strength_mpa.max())
                 skin = whole.extract_surface(algorithm="dataset_surface").extract_feature_edges(
                     boundary_edges=True, feature_edges=False, manifold_edges=False
                 )

@@ -17,7 +17,7 @@ from studies.tables import OUT, Folder, report
 WARM_UP, STEPS = 4, 30
 #: moves the slider once; gives the times [ms] until numbers and picture are new, and what the server says
 STEP = """async () => {
-  const thumb = document.querySelector('#pressure input'), numbers = document.querySelector('#strain');
+  const thumb = document.querySelector('#peak input'), numbers = document.querySelector('#strain');
   const pictures = () => [...document.querySelectorAll('.middle img')];
   const shown = () => pictures().map(picture => picture.src).join();
   const oldNumbers = numbers.textContent, oldPictures = shown(), start = performance.now();

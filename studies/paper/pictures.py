@@ -105,17 +105,23 @@ def draw_figure_9(results: Results, path: Path) -> None:
     """Write a PNG: error of the paper's network by width, its PCA floor, the paper's means and our network."""
     figure, panels = _panels("Figure 9: the paper's network (plain, resistances in, Levenberg-Marquardt) by width")
     for (loads, component), axes in panels.items():
-        words = []
+        words, drawn = list[str](), list[float]()
         for cap, colour, fill in zip(MEAN_OVER_WIDTHS, COLOURS, FILLS, strict=True):
             wanted = {"experiment": FIGURE_9, "loads": loads, "component": component, "cap": cap}
             if not results.chosen(**wanted):
                 continue  # no such loads
+            mean, label = MEAN_OVER_WIDTHS[cap][component], f"paper's mean over widths, strain ≤ {cap:.0%}"
+            axes.axhline(mean, color=colour, linestyle=":", linewidth=1.5, label=label)
             widths, errors = _by_width(results, network=PAPERS, **wanted)
+            if errors == drawn:
+                axes.set_xlabel(
+                    f"drawn once: no sample strains a pillar beyond {cap:.0%}, so both caps have the same", fontsize=9
+                )
+                continue
+            drawn = errors
             axes.plot(widths, errors, color=colour, linewidth=1, label=f"paper's network, strain ≤ {cap:.0%}", **fill)
             floor = _by_width(results, network=FLOOR, **wanted)
             axes.plot(*floor, color=colour, linewidth=1.5, linestyle="--", label=f"its PCA floor, strain ≤ {cap:.0%}")
-            mean, label = MEAN_OVER_WIDTHS[cap][component], f"paper's mean over widths, strain ≤ {cap:.0%}"
-            axes.axhline(mean, color=colour, linestyle=":", linewidth=1.5, label=label)
             nodes, ours = _by_width(results, network=INFORMED, **wanted)
             label = f"ours, strain ≤ {cap:.0%}: skip + response"
             axes.plot(nodes, ours, color=GREEN, linestyle="", clip_on=False, label=label, **fill)
@@ -191,8 +197,11 @@ def _by_width(results: Results, **wanted: object) -> tuple[list[int], list[float
 def _finish(figure: "Figure", panels: "dict[tuple[str, str], Axes]", x_label: str, path: Path) -> None:
     for (loads, component), axes in panels.items():
         axes.set(title=f"{component.capitalize()}, {TITLES[loads]}")
-        axes.set(xlabel=x_label if loads == LOADS[-1] else "", ylabel=ERROR_LABEL if component == COMPONENTS[0] else "")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
+        if loads == LOADS[-1]:
+            axes.set_xlabel("\n".join(filter(None, (x_label, axes.get_xlabel()))))
+        axes.set(ylabel=ERROR_LABEL if component == COMPONENTS[0] else "")
+    first = next(iter(panels.values()))
+    figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     finish(figure, path)
 
 

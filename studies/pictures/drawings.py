@@ -20,7 +20,7 @@ from studies.charts import new_figure, save
 from tripillar.sweeps.judge import own_axes
 
 COLOURS = {"z": "#c0504d", "x": "#4f81bd", "y": "#77933c"}  #: of a pillar, by the force it senses
-GREY = "#7f7f7f"
+GREY, COPPER, PAD = "#7f7f7f", "#c98a4b", "#7030a0"
 
 
 def draw(folder: Path) -> None:
@@ -31,28 +31,49 @@ def draw(folder: Path) -> None:
 
 def draw_build(design: SensorDesign, path: Path) -> None:
     """Draw one unit of a design and the wiring of a 2 × 2 array, and write a PNG."""
-    figure = new_figure(11, 4.6, dpi=130, layout="tight")
-    _unit(figure.add_subplot(1, 2, 1, projection="3d"), design.unit)
-    _wiring(figure.add_subplot(1, 2, 2), design.unit, rows=2, cols=2)
+    figure = new_figure(11, 4.6, dpi=130, layout=None)
+    _unit(figure.add_axes((0.01, 0.015, 0.47, 0.92), projection="3d", computed_zorder=False), design)
+    _wiring(figure.add_axes((0.61, 0.24, 0.38, 0.68)), design.unit, rows=2, cols=2)
     save(figure, path)
 
 
-def _unit(axes: Axes3D, unit: Unit) -> None:
-    """The pillars of a unit with the names of its electrodes."""
-    unit = unit.body
-    layout, sensed = unit.layout, [AXES[axis] for axis in own_axes(unit)]
+def _unit(axes: Axes3D, design: SensorDesign) -> None:
+    """The pillars of a unit in its part of the slab, its pad, and its electrodes with their names."""
+    pad, pitch, unit = design.pad, design.array.pitch_mm, design.unit.body
+    layout, sensed, h = unit.layout, [AXES[axis] for axis in own_axes(unit)], unit.height_mm
+    slab = Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, h), section_mm=(pitch, pitch))
+    axes.add_collection3d(Poly3DCollection(prism_faces(slab), facecolor="#a9c4d8", edgecolor=GREY, alpha=0.12, lw=0.7))
     for name, axis, pillar in zip(layout.pillar_names, sensed, unit_prisms(unit), strict=True):
-        axes.add_collection3d(Poly3DCollection(prism_faces(pillar), color=COLOURS[axis], alpha=0.75, lw=0))
+        depth = float(np.mean([pillar.base_mm[1], pillar.top_mm[1]])) / (10 * pitch)
+        axes.add_collection3d(
+            Poly3DCollection(prism_faces(pillar), color=COLOURS[axis], alpha=0.75, lw=0, zorder=3 - depth)
+        )
         axes.plot([], [], lw=6, color=COLOURS[axis], label=f"{name} pillar, senses F{axis}")
-    for number, (name, (x, y, z)) in enumerate(zip(layout.terminals, electrode_centres(unit), strict=True)):
-        up = 1 if number < len(layout.upper) else -1
-        axes.text(x, y, z + 0.13 * up * unit.height_mm, name, ha="center", va="center")
-    half, s, h = unit.footprint_mm / 2, unit.span_mm / 2, unit.height_mm
-    axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(0, h), xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    axes.set(xticks=(-s, 0, s), yticks=(-s, 0, s), zticks=(0, h))
-    axes.set_box_aspect((2 * half, 2 * half, h))
-    axes.view_init(elev=22, azim=-35)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=3, fontsize=8, handlelength=1, frameon=False)
+    for number, (name, at) in enumerate(zip(layout.terminals, electrode_centres(unit), strict=True)):
+        axes.add_collection3d(
+            Poly3DCollection([_square(at, unit.electrode_mm)], facecolor=COPPER, edgecolor="black", lw=0.8, zorder=5)
+        )
+        out = np.array([0.0, 0.0, 0.16 * h if number < len(layout.upper) else -0.16 * h])
+        axes.text(*(at + out), name, ha="center", va="center", weight="bold", zorder=9)
+    middle = np.array([pad.offset_x_mm, pad.offset_y_mm, h])
+    axes.plot(*np.vstack([_square(middle, pad.size_mm), _square(middle, pad.size_mm)[:1]]).T, color=PAD, lw=2, zorder=4)
+    axes.plot([], [], lw=2, color=PAD, label=f"pad, {pad.size_mm:g} mm wide")
+    axes.plot([], [], "s", color=COPPER, markeredgecolor="black", label="electrodes")
+    axes.plot([], [], lw=6, color="#a9c4d8", alpha=0.5, label=f"slab, {pitch:g} mm a unit, {h:g} mm high")
+    corner = np.array([0.62 * pitch, -0.42 * pitch, 0.0])
+    for axis, along in zip(AXES, np.eye(3) * 0.25 * pitch, strict=True):
+        axes.quiver(*corner, *along, color="black", lw=1.2, arrow_length_ratio=0.25)
+        axes.text(*(corner + 1.25 * along), axis, ha="center", va="center")
+    axes.set(xlim=(-pitch / 2, pitch / 2), ylim=(-pitch / 2, pitch / 2), zlim=(0, h))
+    axes.set_box_aspect((pitch, pitch, h), zoom=1.02)
+    axes.set_axis_off()
+    axes.view_init(elev=24, azim=-58)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.06), ncols=3, fontsize=8, handlelength=1, frameon=False)
+
+
+def _square(centre: FloatArray, side: float) -> FloatArray:
+    """Corners (4, 3) of a level square."""
+    return centre + side / 2 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
 
 
 def prism_faces(prism: Prism) -> list[FloatArray]:

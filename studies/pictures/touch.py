@@ -35,6 +35,7 @@ SLIDE_MM, FRICTION = (0.6, 0.2), 0.4
 BALL_MM, BALL_DEPTH_MM, FRAMES, FRAME_MS, QUALITY = 15.0, 0.9, 40, 100, 60
 CELL_MM, BLUR_MM, ARROWS_MM = 0.5, 1.5, 5.0  #: of the pressure's picture, and apart of shear's arrows
 MPA_PER_MM, SMALLEST_MPA = 0.03, 0.02  #: of shear's arrows
+TOP_MPA = 1.5  #: at which the colours of pressure end
 
 
 def draw(folder: Path, *, model: Annotated[Path, Parameter(help="File of `tripillar train --touch`.")]) -> None:
@@ -48,13 +49,16 @@ def draw(folder: Path, *, model: Annotated[Path, Parameter(help="File of `tripil
 
 def draw_shapes(decoder: TouchDecoder, surface: SurfaceCompliance) -> Image.Image:
     """Each shape pressed and dragged, above what is decoded from one scan."""
-    figure = new_figure(14, 6.1, dpi=100, layout="compressed")
-    columns = figure.subplots(2, len(SHAPES)).T
+    figure = new_figure(14, 5.0, dpi=100, layout="compressed")
+    columns = figure.subplots(2, len(SHAPES), sharex=True, sharey=True).T
     for k, ((name, shape, depth_mm, at_mm), pair) in enumerate(zip(SHAPES, columns, strict=True)):
         contact = press(surface, shape, depth_mm, at_mm=at_mm, slide_mm=SLIDE_MM, friction=FRICTION)
         shown = _draw_pair(pair, contact, decoder.touches(_read(decoder, contact, k))[0])
         pair[0].set_title(f"{name}\n{pair[0].get_title()}", fontsize=11)
-        figure.colorbar(shown, ax=list(pair), location="bottom", shrink=0.9, label="pressure [MPa]")
+        pair[1].set_xlabel("x [mm]")
+    for axes in columns[0]:
+        axes.set_ylabel("y [mm]")
+    figure.colorbar(shown, ax=columns, shrink=0.9, extend="max", label="pressure [MPa]")
     return image_of(figure)
 
 
@@ -68,10 +72,13 @@ def draw_ball(decoder: TouchDecoder, surface: SurfaceCompliance, frames: int = F
         touch: Touched = follower.touches(_read(decoder, contact, k))[0]
         figure = new_figure(7.2, 3.5, dpi=90, layout="compressed")
         pair = figure.subplots(1, 2)
-        shown = _draw_pair(pair, contact, touch, top_mpa=1.5)
+        shown = _draw_pair(pair, contact, touch)
         for found in touch.contacts:
             pair[1].plot(*found.centre_mm, "+", color="white", ms=9)
-        figure.colorbar(shown, ax=list(pair), shrink=0.85, label="pressure [MPa]")
+        for axes in pair:
+            axes.set_xlabel("x [mm]")
+        pair[0].set_ylabel("y [mm]")
+        figure.colorbar(shown, ax=list(pair), shrink=0.85, extend="max", label="pressure [MPa]")
         images.append(image_of(figure))
     return images
 
@@ -93,35 +100,37 @@ def _read(decoder: TouchDecoder, contact: Contact, seed: int) -> FloatArray:
     return decoder.errors.read(samples_of([contact]).resistance_ohm, np.random.default_rng(seed))
 
 
-def _draw_pair(pair: Any, contact: Contact, touch: Touched, top_mpa: float | None = None) -> Any:
-    """The contact's traction and the decoded one, each under its net normal force."""
+def _draw_pair(pair: Any, contact: Contact, touch: Touched) -> Any:
+    """The contact's traction and the decoded one, each under its net normal force, the latter with what it misses."""
     x, y = np.meshgrid(contact.patch.x_mm, contact.patch.y_mm)
     true = np.stack([x.ravel(), y.ravel()]), contact.cell_force_n.reshape(3, -1)
-    largest = top_mpa or float(_density(contact.design, *true, CELL_MM)[2].max())
     net = touch.force_n[:, 2].sum()
     deviation = np.linalg.norm(touch.factors[2::5].sum(axis=0))
-    shown = _draw(pair[0], contact.design, *true, largest)
+    shown, pressure = _draw(pair[0], contact.design, *true)
     pair[0].set_title(f"true: {contact.net_force_n[2]:.0f} N", fontsize=11)
-    _draw(pair[1], contact.design, *traction_of(touch), largest)
-    pair[1].set_title(f"decoded: {net:.0f} ± {deviation:.0f} N", fontsize=11)
+    _, found = _draw(pair[1], contact.design, *traction_of(touch))
+    missed = np.abs(found - pressure).sum() / pressure.sum() / 2
+    pair[1].set_title(f"decoded: {net:.0f} ± {deviation:.0f} N,\n{missed:.0%} misplaced", fontsize=11)
     return shown
 
 
-def _draw(axes: Axes, design: SensorDesign, place_mm: FloatArray, force_n: FloatArray, top_mpa: float) -> Any:
-    """Pressure in colour, shear as arrows, lines between units."""
+def _draw(axes: Axes, design: SensorDesign, place_mm: FloatArray, force_n: FloatArray) -> tuple[Any, FloatArray]:
+    """Pressure in colour, which is returned [MPa], shear as arrows, lines between units."""
     wide, deep = np.array(design.slab_mm[:2]) / 2
     pressure = _density(design, place_mm, force_n, CELL_MM)[2]
     box = (-wide, wide, -deep, deep)
-    shown = axes.imshow(pressure, origin="lower", extent=box, vmin=0.0, vmax=top_mpa, cmap="magma")
+    shown = axes.imshow(pressure, origin="lower", extent=box, vmin=0.0, vmax=TOP_MPA, cmap="magma")
     sx, sy, _ = _density(design, place_mm, force_n, ARROWS_MM)
     x, y = (-side + ARROWS_MM * (np.arange(n) + 0.5) for side, n in ((wide, sx.shape[1]), (deep, sx.shape[0])))
     sx[np.hypot(sx, sy) < SMALLEST_MPA] = np.nan
     axes.quiver(x, y, sx, sy, color="#56b4e9", angles="xy", scale_units="xy", scale=MPA_PER_MM, width=0.008)
-    axes.set(xticks=np.arange(-wide, wide + 1, design.array.pitch_mm), xticklabels=[], xlim=(-wide, wide))
-    axes.set(yticks=np.arange(-deep, deep + 1, design.array.pitch_mm), yticklabels=[], ylim=(-deep, deep))
-    axes.grid(color="white", alpha=0.3, linewidth=0.5)
-    axes.tick_params(length=0)
-    return shown
+    axes.set(xlim=(-wide, wide), ylim=(-deep, deep))
+    for axis, side in ((axes.xaxis, wide), (axes.yaxis, deep)):
+        axis.set_ticks([-side * 2 / 3, 0.0, side * 2 / 3])
+        axis.set_ticks(np.arange(-side, side + 1, design.array.pitch_mm), minor=True)
+    axes.grid(color="white", alpha=0.3, linewidth=0.5, which="both")
+    axes.tick_params(length=0, which="both", labelsize=8)
+    return shown, pressure
 
 
 def _density(design: SensorDesign, place_mm: FloatArray, force_n: FloatArray, cell_mm: float) -> FloatArray:

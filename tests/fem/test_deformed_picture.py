@@ -1,13 +1,15 @@
 """Pictures show a deformed array on an honest scale: parts in their places, moved as the field says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import pyvista as pv
 import trimesh
+from matplotlib.colors import to_rgb
 
-from fem.pictures import deformation
 from fem.pictures.arrays import bell_pressure
-from fem.pictures.deformation import QUANTITIES, VIEWS, DeformedPicture, bar_of, draw_scenery, pads_bar
+from fem.pictures.deformation import QUANTITIES, VIEWS, DeformedPicture, add_words, bar_of, pads_bar, place, scale_bar
 from fem.pictures.parts import QUADRILATERAL, Part, column_surface, pillar_surface, sensor_parts
 from geometry.design import Array, SensorDesign, Unit
 from geometry.layout import LAYOUTS, pillar_volumes, unit_centres
@@ -103,13 +105,33 @@ def test_a_picture_cuts_nothing_off_and_its_bodies_sink_with_the_load(parts, cam
 
 
 @pytest.mark.parametrize("camera", VIEWS)
-def test_letters_beside_a_body_face_the_camera(camera, monkeypatch):
-    """Names of the axes across the view, and the length of the scale bar."""
-    words, toward = {}, np.array(VIEWS[camera][0]) / np.linalg.norm(VIEWS[camera][0])
-    monkeypatch.setattr(deformation, "_word", lambda text, *at: words.update({text: at}) or pv.Sphere())
-    draw_scenery(np.array([[0.0, 0.0, 0.0], [30.0, 30.0, 10.0]]), camera)
-    axes = {"iso": "xyz", "top": "xy", "front": "xz", "side": "yz"}[camera]
-    assert words.keys() == {*axes, "10 mm"}
-    for _, _, right, up in words.values():
+def test_letters_beside_a_body_face_the_camera_and_its_scale_bar_is_of_a_round_length(camera):
+    """Also once the camera is somewhere else; not upside down."""
+    body_mm, plotter = np.array([[0.0, 0.0, 0.0], [30.0, 30.0, 10.0]]), pv.Plotter(off_screen=True)
+    start, end, *_ = scale_bar(body_mm, camera)
+    assert np.ptp([start, end], axis=0).max() == np.linalg.norm(end - start) == pytest.approx(10.0)
+    place(plotter.camera, body_mm, *VIEWS[camera], 1.0)
+    (letters,) = add_words(plotter, {"z": start}, height_mm=1.0)
+    for _ in range(2):
+        letters.ComputeMatrix()
+        right, up, toward = pv.array_from_vtkmatrix(letters.GetMatrix())[:3, :3].T
+        apart = np.array(plotter.camera.position) - start
+        assert toward == pytest.approx(apart / np.linalg.norm(apart))
         assert np.cross(right, up) == pytest.approx(toward)
-        assert up @ [0.0, 1.0, 1.0] > 0  # not upside down
+        assert up @ plotter.camera.up > 0
+        plotter.camera.azimuth += 100.0
+    plotter.close()
+
+
+def test_a_pad_without_load_is_grey_not_absent(parts):
+    """All outlines are drawn, the unloaded ones in the grey at the end of their bar."""
+    one = replace(
+        parts["pads"], traction_mpa=parts["pads"].traction_mpa * (np.arange(len(parts["pads"].cells)) > 99)[:, None]
+    )
+    picture = DeformedPicture({"one": {**parts, "pads": one}})
+    outlines = next(moving.mesh for moving in picture.moving if moving.name == "pads")
+    assert outlines.points[:, 0].min() < -5 < 5 < outlines.points[:, 0].max()
+    assert (outlines["strength"].min(), outlines["strength"].max() > 1) == (0.0, True)
+    red, green, blue = to_rgb(picture.bars[-1].colours[0])
+    assert max(red, green, blue) - min(red, green, blue) < 0.1
+    picture.plotter.close()

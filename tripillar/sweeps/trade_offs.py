@@ -21,6 +21,7 @@ SHOWN = (
 GREY, FRONT = "#9a9a9a", "#d55e00"  #: designs out of bounds, and the front
 #: metrics of the Pareto picture, and whether more is better
 AGAINST = (("range_n", True), ("area_cm2", False), ("channels", False))
+COUNTS = ("channels",)  #: those of whole numbers
 BESIDE = 5  #: designs to a table
 DIGITS = 4  #: of a number in pictures: what differs by less is the same
 WIDE = 20.0  #: smallest ratio of the largest to the least value on a logarithmic axis
@@ -95,8 +96,9 @@ def untold(rows: Sequence[Row], sweep: Sweep) -> list[str]:
 def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     """Write a PNG: error against force range, size and channels, with the designs that no other one beats in both."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
+    from matplotlib.colors import LogNorm, Normalize
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     sound = told(rows, sweep)
     within = np.array([not sweep.excess(row.metrics) for row in sound])
@@ -104,9 +106,8 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
     variable = telling_variable(sound, sweep)
     shade = _shades(sound, variable)
     norm: Normalize = LogNorm() if _is_wide(shade) else Normalize()
-    ticks = range(len(variable.values)) if variable.changes else None
-    if ticks is not None:
-        norm = BoundaryNorm(np.arange(len(ticks) + 1) - 0.5, 256)
+    if variable.changes:
+        norm = Normalize(0.0, max(len(variable.values) - 1, 1))
     against = [pair for pair in AGAINST if np.ptp(_drawn(sound, pair[0])) > 0] or [AGAINST[0]]
     figure = Figure(figsize=(4.5 + 3.5 * len(against), 5.2), dpi=120, layout="constrained")
     panels = figure.subplots(1, len(against), sharey=True, squeeze=False)[0]
@@ -122,15 +123,20 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
         line = {"color": FRONT, "linewidth": 1.6, "zorder": 2, "label": "beaten by no other design in both"}
         axes.step(other[order], error[order], where="pre" if more else "post", **line)
         axes.scatter(other[order], error[order], s=95, facecolors="none", edgecolors=FRONT, linewidths=1.6, zorder=4)
+        if name in COUNTS:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set(xlabel=f"{sweep.metrics[name].label}, {'more' if more else 'less'} is better")
         axes.set(**{f"{axis}scale": "log" for axis, values in (("x", other), ("y", error)) if _is_wide(values)})
         axes.grid(visible=True, which="major", alpha=0.25)
     figure.axes[0].set_ylabel(f"{sweep.metrics[sweep.least].label}, less is better")
-    figure.axes[len(against) - 1].legend(fontsize=9, loc="best")
     shades = ScalarMappable(norm=norm, cmap="viridis")
-    bar = figure.colorbar(shades, ax=figure.axes, label=variable.label, pad=0.01, ticks=ticks)
-    if ticks is not None:
-        bar.ax.set_yticklabels([str(text) for text in variable.values], rotation=90, va="center")
+    if variable.changes:
+        for number, text in enumerate(variable.values):
+            panels[-1].scatter([], [], s=42, color=shades.to_rgba(np.array([number])), label=str(text))
+    else:
+        figure.colorbar(shades, ax=figure.axes, label=variable.label, pad=0.01)
+    title = variable.label if variable.changes else None
+    figure.legend(*panels[-1].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9, title=title)
     failed = sum(row.failed for row in rows)
     others = {"failed": failed, "do not tell it": len(rows) - len(sound) - failed}
     said = "".join(f"; {count} more {what}" for what, count in others.items() if count)

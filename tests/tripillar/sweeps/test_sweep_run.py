@@ -1,10 +1,12 @@
 """Sweeps and searches: rows are the same whoever makes them, none is lost, and what is missing alone is made."""
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from common.pool import WorkerLost, open_pool
@@ -123,6 +125,25 @@ def test_the_best_designs_stand_beside_each_other_and_equal_ranges_make_no_panel
     draw_pareto(rows, GRID, tmp_path / "pareto.png")
     with Image.open(tmp_path / "pareto.png") as picture:
         assert picture.width == 960  # 8 inches: one panel
+
+
+def test_channels_are_whole_numbers_and_layouts_stand_in_the_legend(tmp_path, monkeypatch):
+    """A colour bar would rank names."""
+    drawn, save = [], Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda self, *at, **how: drawn.append(self) or save(self, *at, **how))
+    sweep = sweep_from_dict(tomllib.loads(MIXED))
+    rows = [
+        Row(
+            cache_key=f"{layout}{k}", values={"layout": layout, "pad.size_mm": 11.0 + k}, design="x",
+            metrics={"error_n": n + 0.1 * k, "range_n": 500.0 * n, "area_cm2": 9.0, "channels": 10 + n, "rate_hz": 1e3},
+        )
+        for n, layout in enumerate(("song2018", "six-pillar"), 1) for k in (0, 1)
+    ]  # fmt: skip
+    draw_pareto(rows, sweep, tmp_path / "pareto.png")
+    (figure,), of_range, of_channels = drawn, *drawn[0].axes
+    assert {text.get_text() for text in figure.legends[0].get_texts()} >= {"song2018", "six-pillar"}
+    assert [tick for tick in of_channels.get_xticks() if tick % 1] == []
+    assert of_range.get_xlabel().startswith(sweep.metrics["range_n"].label)
 
 
 def test_a_design_that_ends_its_worker_is_a_row(tmp_path, monkeypatch):

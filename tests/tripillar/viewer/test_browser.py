@@ -100,6 +100,8 @@ def test_a_load_is_set_shown_taken_away_and_put_back_also_over_a_lost_connection
         pad, trouble = page.locator("#pad-0"), page.locator("#trouble")
         page.wait_for_selector("#picture[src]")
         assert "the response's inverse" in page.inner_text("#decoupler")
+        page.click("#reset")
+        page.click("#by-pads")
         at_rest = still_picture(page)
         pad.click()
         page.focus("#pressure input")

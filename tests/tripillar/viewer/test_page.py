@@ -1,5 +1,6 @@
 """What acts on the page's array, its readings, and its scene, moved by the field and coloured by it."""
 
+import asyncio
 import time
 from contextlib import nullcontext
 from dataclasses import replace
@@ -27,6 +28,7 @@ from tests.house import PATIENT_S
 from tests.tripillar.viewer.conftest import DESIGN, a_feed, a_scan
 from tripillar.viewer.page import sensing
 from tripillar.viewer.page.page import Page
+from tripillar.viewer.page.pictures import Pictures
 from tripillar.viewer.page.scene import TITLES, ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, moments, tractions
 
@@ -141,6 +143,31 @@ def scene(subject):
     scene = ArrayScene(subject.field)
     yield scene
     scene.plotter.close()
+
+
+def test_pictures_of_a_sensor_whose_scans_never_rest_are_fine_ones(scene):
+    """What a hand moves is drawn coarsely first, and finely once it rests."""
+    pictures, qualities = Pictures(scene.plotter, lambda: None), []
+
+    async def drawn(grade):
+        return bytes([grade.quality])
+
+    async def send(content):
+        qualities.append(content[0])
+        if len(qualities) < 4:
+            pictures.schedule_render(hurries=len(qualities) == 3)
+
+    async def first_of(count):
+        running = asyncio.create_task(pictures.run(send))
+        pictures.schedule_render(hurries=False)
+        async with asyncio.timeout(PATIENT_S):
+            while len(qualities) < count:
+                await asyncio.sleep(0.01)
+        running.cancel()
+
+    pictures._hurries, pictures._drawn = False, drawn
+    asyncio.run(first_of(5))
+    assert qualities == [92, 92, 92, 75, 92]
 
 
 def test_superposition_is_the_solution(subject):

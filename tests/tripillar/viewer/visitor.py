@@ -90,6 +90,12 @@ class Browser:
         await self.say(**message)
         return await self.heard("show")
 
+    async def load_by_pads(self):
+        """Take the load off and let pads be pressed one by one; the page opens under an indenter."""
+        await self.change(do="reset")
+        self.controls["source"] = "pads"
+        await self.change(set={"source": "pads"})
+
     async def heard(self, kind):
         """The next message of a kind, or picture; all are taken note of."""
         async with asyncio.timeout(PATIENT_S):

@@ -72,7 +72,7 @@ def controls_of(design: SensorDesign, has_sensor: bool, loads: Loads) -> Control
     angle = Range(start=0.0, max=360.0, step=5.0)
     sources = ("pads", "indenter", "sensor") if has_sensor else ("pads", "indenter")
     return {
-        "source": Choice(start=sources[-1] if has_sensor else "pads", among=sources),  # of the loads
+        "source": Choice(start=sources[-1], among=sources),  # of the loads
         "pad": Choice(start=middle, among=tuple(range(design.n_units))),
         "pressure": pressure,
         "shear": shear,

@@ -228,7 +228,7 @@ class Page:
         looks = (controls[name] for name in ("colour", "scale", "pad", "dark"))
         bar = self.scene.show(drawn, reading.change, *looks)
         seconds = time.perf_counter() - start
-        self.pictures.schedule_render()
+        self.pictures.schedule_render(hurries=controls["source"] != "sensor")  # its scans never rest
         shown: dict[str, Any] = {
             "trouble": "",
             "legend": [legend(bar), legend(self.scene.pads_bar)],

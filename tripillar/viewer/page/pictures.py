@@ -49,7 +49,7 @@ class Pictures:
         self._on_resize = on_resize
         self._size = (800, 600)  # of the place for pictures, in the screen's pixels
         self._moving, self._still = Grade(0.020, quality=75), Grade(0.150, quality=92, least_zoom=1.0)
-        self._is_wanted = asyncio.Event()
+        self._is_wanted, self._hurries = asyncio.Event(), True
         self.draw_ms = 0.0  #: the last moving picture took, encoding included
 
     async def run(self, send: Send) -> None:
@@ -58,7 +58,10 @@ class Pictures:
             await self._is_wanted.wait()
             await asyncio.sleep(0.001)  # numbers go first
             self._is_wanted.clear()
-            await send(await self._drawn(self._moving))
+            hurries, self._hurries = self._hurries, False
+            await send(await self._drawn(self._moving if hurries else self._still))
+            if not hurries:
+                continue
             try:
                 await asyncio.wait_for(self._is_wanted.wait(), STILL_AFTER_S)
             except TimeoutError:
@@ -71,8 +74,9 @@ class Pictures:
         self._on_resize()
         self.schedule_render()
 
-    def schedule_render(self) -> None:
-        """Draw soon."""
+    def schedule_render(self, hurries: bool = True) -> None:
+        """Draw soon: quickly, then finely once nothing moves, or at once finely."""
+        self._hurries |= hurries
         self._is_wanted.set()
 
     async def _drawn(self, grade: Grade) -> bytes:

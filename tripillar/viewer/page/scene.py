@@ -17,12 +17,13 @@ from fem.pictures.deformation import (
     Colour,
     DeformedPicture,
     Quantity,
-    draw_scenery,
+    add_axes,
+    add_words,
     place,
-    unit_names,
 )
 from fem.pictures.parts import COARSE, ArrayParts, Part
-from geometry.layout import FloatArray
+from geometry.design import SensorDesign
+from geometry.layout import FloatArray, unit_centres
 
 Shown = Colour | Literal["resistance"]
 RESISTANCE: Literal["resistance"] = "resistance"  #: the one colour of the page's own: of each pillar as a whole
@@ -31,6 +32,8 @@ HAZE = {False: 0.18, True: 0.05}  #: opacity of the slab, which on a dark ground
 MAX_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
 BACKGROUND = {False: "#ffffff", True: "#1f262d"}  #: by whether it is dark, as the page has it
 LETTERS = {False: "#21292f", True: "#e4e9ed"}
+AXES_INK, CORNER = "#7d8790", (0.0, 0.0, 0.14, 0.18)  #: of the axes, to be read on both, and their part of the picture
+LETTER, BESIDE = 0.024, 1.6  #: height of letters, of the slab's larger side; places of the names, of a letter
 CHOSEN = "#ff8c00"
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
 STEEPEST_DEG = 89.0  #: of the camera: straight from above there is no upright
@@ -48,14 +51,14 @@ class ArrayScene:
         self._picture = DeformedPicture({"": rest}, medium="live", over=[most])
         self.plotter, self.pads_bar = self._picture.plotter, self._picture.bars[-1]
         self.pillars = next(moving.mesh for moving in self._picture.moving if moving.name == "pillars")
-        names = unit_names(design.array.rows, design.array.cols, design.array.pitch_mm)
-        beside = draw_scenery(np.vstack([rest["matrix"].points_mm, names.points]), "iso")
-        self._letters = self.plotter.add_mesh(pv.merge([names, beside]), lighting=False)
+        names = unit_names(design)
+        self._letters = add_words(self.plotter, names, LETTER * max(design.slab_mm))
+        add_axes(self.plotter, CORNER, AXES_INK)
         around = np.arange((COARSE[2] + 1) ** 2).reshape(COARSE[2] + 1, -1)
         self._border = np.concatenate([around[0], around[1:, -1], around[-1, -2::-1], around[-2:0:-1, 0]])
         self.mark = pv.lines_from_points(rest[self._pads].points_mm[self._border], close=True)  #: of the chosen pad
         self.plotter.add_mesh(self.mark, color=CHOSEN, line_width=4)
-        self.reach_mm = np.vstack([rest["matrix"].points_mm, names.points, beside.points])
+        self.reach_mm = np.vstack([rest["matrix"].points_mm, *names.values()])
         self.camera = Camera(self.plotter.camera)
         self.look_from_the_start()
 
@@ -79,7 +82,8 @@ class ArrayScene:
         lift_mm = PAD_LIFT * self._field.design.unit.height_mm
         self.mark.points = pads.points_mm[own] + scale * pads.displacement_mm[own] + (0.0, 0.0, lift_mm)
         self.plotter.set_background(BACKGROUND[is_dark])
-        self._letters.prop.color = LETTERS[is_dark]
+        for letters in self._letters:
+            letters.GetProperty().SetColor(pv.Color(LETTERS[is_dark]).float_rgb)
         self._picture.actors["matrix"].prop.opacity = HAZE[is_dark]
         return bar
 
@@ -93,6 +97,14 @@ class ArrayScene:
         """Fill a window of another size, unless the camera has been moved."""
         if self.camera.is_home:
             self.look_from_the_start()
+
+
+def unit_names(design: SensorDesign) -> dict[str, FloatArray]:
+    """Places (3,) [mm] of the names of rows and columns as numbered in files, right of the array and before it."""
+    wide, deep, _ = np.array(design.slab_mm) / 2 + BESIDE * LETTER * max(design.slab_mm)
+    x, y = unit_centres(design).reshape(design.array.rows, design.array.cols, 2).transpose(2, 0, 1)
+    columns = {f"col {j}": np.array([at, -deep, 0.0]) for j, at in enumerate(x[0])}
+    return columns | {f"row {i}": np.array([wide, at, 0.0]) for i, at in enumerate(y[:, 0])}
 
 
 class Camera:
