@@ -102,7 +102,9 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
 
     sound = told(rows, sweep)
     within = np.array([not sweep.excess(row.metrics) for row in sound])
-    error = _drawn(sound, sweep.least)
+    error, range_n = _drawn(sound, sweep.least), column(sound, "range_n")
+    lost = (error > range_n) if sweep.least == "error_n" else np.zeros(len(error), dtype=bool)  # pillars tell nothing
+    error = np.where(lost, np.max(range_n, initial=0.0, where=np.isfinite(range_n)), error)
     variable = telling_variable(sound, sweep)
     shade = _shades(sound, variable)
     norm: Normalize = LogNorm() if _is_wide(shade) else Normalize()
@@ -117,7 +119,10 @@ def draw_pareto(rows: Sequence[Row], sweep: Sweep, path: Path) -> None:
             outside = {"s": 26, "facecolors": "none", "edgecolors": GREY, "label": "out of bounds"}
             axes.scatter(other[~within], error[~within], **outside)
         points = {"s": 42, "cmap": "viridis", "norm": norm, "edgecolors": "white", "linewidths": 0.6, "zorder": 3}
-        axes.scatter(other[within], error[within], c=shade[within], **points)
+        axes.scatter(other[within & ~lost], error[within & ~lost], c=shade[within & ~lost], **points)
+        if (within & lost).any():
+            points |= {"marker": "^", "label": "errs by more than its range"}
+            axes.scatter(other[within & lost], error[within & lost], c=shade[within & lost], **points)
         front = pareto(np.where(within, error, np.inf), -other if more else other)
         order = front[np.argsort(other[front])]
         line = {"color": FRONT, "linewidth": 1.6, "zorder": 2, "label": "beaten by no other design in both"}
