@@ -147,7 +147,7 @@ def _said(result: dict[str, Any]) -> str:
         f"relaxing by {elastic['prony']['share'][0]:.1%} and {elastic['prony']['share'][1]:.1%}"
     )
     lines.append(_missed(result))
-    lines += [f"not told: {each['what']}: take {each['test']}" for each in result["unknown"]]
+    lines += [f"unknown: {each['what']}: take {each['test']}" for each in result["unknown"]]
     return "\n".join(lines)
 
 
