@@ -226,7 +226,7 @@ def evaluate(
         Number of parts to cross-validate, each tested once; the paper uses 10.
     predictions : array or path, optional
         Forces of another program for the same data, in place of a model: a NetCDF file with force_n (sample, row, col,
-        axis) [N], NaN along axes left out.
+        axis) [N], samples in their order, NaN along axes left out.
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     **training
