@@ -155,4 +155,4 @@ def test_a_job_that_is_ended_as_soon_as_it_is_announced_ends_in_peace():
         current().answer(dict, lambda: signal.raise_signal(signal.SIGTERM) or [])
         yield "port"
 
-    assert command_of(announced)(verbosity=False) == 0
+    assert command_of(announced)(verbosity=False) == 128 + signal.SIGTERM
