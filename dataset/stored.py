@@ -168,6 +168,8 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     attributes: Mapping[str, Any] = {}
     arrays: dict[str, Any]
     time_s: FloatArray | None = None
+    if path.suffix == ".parquet":
+        raise FileFormatError(f"{path}: of tables CSV alone is read: write it as .csv.")
     if path.suffix == ".csv":
         arrays, layout = read_csv(path)
         rows, cols = arrays["force_n"].shape[-3:-1]

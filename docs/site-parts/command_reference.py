@@ -13,9 +13,8 @@ COMMON = 2  #: commands from which on an option of theirs is told once for all
 
 TITLE = """# Commands
 
-Every command with its options, made from the commands themselves; `tripillar COMMAND --help` prints the same. `INT=6`
-is 6 unless given, choices stand in brackets. *Also* names options that are told here, since several commands have them;
-all have the first four:"""
+What `tripillar COMMAND --help` prints. `INT=6` is 6 unless given, choices stand in brackets. *Also* names options of
+several commands, which are told here; all have the first four:"""
 
 OF_THE_PROGRAM = (
     "- `--version`: Print the version and exit.",

@@ -232,6 +232,8 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
     assert read_design(tmp_path / "own.toml") == data.design
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.parquet", "-q")
+    with pytest.raises(FileFormatError, match=r"own.parquet: of tables CSV alone is read: write it as .csv"):
+        read_samples(tmp_path / "own.parquet")
     table = pq.read_table(tmp_path / "own.parquet")
     assert table.column_names == names.split(",")
     assert np.array_equal(np.stack([column.to_numpy() for column in table.columns], axis=1), numbers)

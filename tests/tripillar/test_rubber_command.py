@@ -48,4 +48,4 @@ def test_people_read_numbers_with_deviations_and_what_is_not_told(house):
     done = house.tripillar("rubber", "--data", "series.csv")
     assert done.returncode == 0
     assert "b_shorten = " in done.stdout
-    assert "not told: compression: take the same test pressed" in done.stdout
+    assert "unknown: compression: take the same test pressed" in done.stdout

@@ -11,9 +11,12 @@ import xarray as xr
 import tripillar as tp
 from dataset import read_samples
 from dataset.loads import PAPERS, Loads, loads_of
+from decoupler.twin.next_load import loads_at_hand
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, Material, SensorDesign
 from tests.house import SMALL, House
+from tripillar.face import identifying
+from tripillar.face.caller import Caller, called_by
 from tripillar.viewer.page.controls import controls_of, sliders_of
 
 SOFT = Material(young_mpa=0.05, poisson=0.49)
@@ -69,6 +72,18 @@ def test_a_table_of_loads_is_a_protocol(house):
     assert "--loads loads.csv belongs to --protocol table" in house.refusal(*command, "contact", "--loads", "loads.csv")
     of_range = house.refusal(*command, "table", "--loads", "loads.csv", "--pressure", "1", "5")
     assert "protocol 'table' has no such loads on pads: leave it out" in of_range
+
+
+def test_loads_to_measure_next_are_those_that_it_bears():
+    """15 kg on a pad are 30 times what it bears; a load that it bears is named."""
+    said = []
+    with called_by(Caller(say=said.append)):
+        kept = identifying._bearable(loads_at_hand("pad:15kg,pad:1N", DESIGN), DESIGN)
+    assert [load.name for load in kept] == ["nothing", "1N on 0 0", "1N on 0 1"]
+    bears_n, named_n = map(float, re.fullmatch(r".* ([\d.]+) N a pad that this .* pad:([\d.]+)N", said[0]).groups())
+    assert 1.0 < bears_n < 5.0 * AREA_MM2 / 100  # rubber 122 times softer than the paper's
+    assert named_n == pytest.approx(bears_n / 2, rel=5e-3)
+    assert said[0].startswith("2 of 5 loads are left out")
 
 
 def test_what_is_shown_bears_its_load_unless_another_is_asked_for_which_is_said(house):

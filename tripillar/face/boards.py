@@ -30,8 +30,7 @@ def info(
 ) -> dict[str, Any]:
     """List the serial ports of this machine; or ask a board what it is: size, rate, circuit, firmware.
 
-    With seconds the board's link is measured: rate, losses, jitter, and latency, which is the time from the last byte
-    of a scan to its forces.
+    With seconds the link is measured: rate, losses, jitter, and latency from a scan's last byte to its forces.
 
     Parameters
     ----------
@@ -94,8 +93,7 @@ def watch(
 ) -> None:
     """Show the forces on a sensor as they come: heat map, shear, net load, rate, losses.
 
-    With JSON every scan is a line; its deviations are at most 0.1 s old. Foxglove and Rerun are shown every scan. In
-    Python `tripillar.live` gives the forces themselves.
+    With JSON every scan is a line; its deviations are at most 0.1 s old. In Python `tripillar.live` gives the forces.
 
     Parameters
     ----------
@@ -240,7 +238,7 @@ def replay(
         Calibration file to use instead of the one in the recording, if any.
     rubber : path, optional
         Rubber file (.toml) whose memory is taken out of the readings once a hold or a rest has shown it; default: that
-        of the model's design, if any, from the first frame on.
+        of the model's design, if any.
     speed : float, optional
         Times its own pace at which to show it, as `live` does; default: all at once.
     out : path, optional

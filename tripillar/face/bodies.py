@@ -39,16 +39,16 @@ def design(
     out : path, optional
         File to write (.toml); default: print it.
     purpose : str, optional
-        Sensor to cast of silicones on sale, as a search found it, with its range, its errors and how it casts.
+        Sensor to cast of silicones on sale.
     layout : str, optional
-        Electrodes of a unit and the pillars between them; a design file may state its own. Default: song2018.
+        Electrodes of a unit and the pillars between them; default: song2018.
     rows : int, optional
         Number of units along y; default: 6.
     cols : int, optional
         Number of units along x; default: 6.
     extend : str
-        Rubber file (.toml) of `tripillar rubber` for its pillars: memory, relaxation, modulus and resistivity; the name
-        of a published silicone for the rubber around them, such as ecoflex-00-30; or both with a comma.
+        Rubber file (.toml) of `tripillar rubber` for its pillars; a published silicone for the rubber around them, such
+        as ecoflex-00-30; or both with a comma.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def cad(
     out : path
         Folder for STEP and STL files.
     mesh : bool
-        Mesh the whole array with tetrahedra, too, and judge their shape; kept in the cache, it is written as mesh.vtu.
+        Mesh the whole array with tetrahedra, too, as mesh.vtu.
 
     Returns
     -------
@@ -195,7 +195,7 @@ def response(
 ) -> "stages.ArrayResponse":
     """Compute how far a newton on each pad moves each electrode.
 
-    This is the array's influence matrix. Data sets, networks and pictures are made from it; it stays in the cache.
+    Data sets, networks and pictures are made from this influence matrix, which stays in the cache.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def response(
     out : path, optional
         NetCDF file to write.
     tolerance : float, optional
-        Relative error wanted; default: 1e-3, or 1e-2 on tetrahedra: by that method, or of pillars of another rubber.
+        Relative error wanted; default: 1e-3, or 1e-2 of tetrahedra and of two rubbers.
     method : str
         Method: copies of one condensed cell; the same from CAD solids, meshed; or an approximate closed form.
 

@@ -39,14 +39,14 @@ def export(
     data : path, optional
         Data set (.nc or .zarr) or recording (.frames, or a board's bytes) to write.
     out : path
-        File to write: of a model .onnx, or .h for a header in C; of a data set .csv or .parquet, with its design (TOML)
-        beside; of a recording .nc (NetCDF) or .csv.
+        File to write: of a model .onnx or .h (C); of a data set .csv or .parquet, with its design beside; of a
+        recording .nc or .csv.
     model : Decoupler or path, optional
         Model file to write in their place.
     precision : str, optional
         Precision of a model's numbers; default: double in .onnx, float in .h.
     to : str, optional
-        Form of what is written: header, the design's wires and channels in C, for make -C hardware/firmware SENSOR=OUT.
+        Write header: the design's wires and channels in C, for make -C hardware/firmware SENSOR=OUT.
     design : SensorDesign or path, optional
         Design file (TOML) of that header; default: the paper's sensor.
 
@@ -95,7 +95,8 @@ def export(
                 raise DesignError(f"{beside} is another design than that of {source}: give another name.")
             write_design(samples.design, beside)
             files.append(beside)
-            caller.say(f"{path} states no design: give design={beside} to what learns from it")
+            if path.suffix == ".csv":
+                caller.say(f"{path} states no design: give design={beside} to what learns from it")
         advance = caller.bars.begin("export", total=len(samples))
         columns = stages.write_table(samples, path, lambda n: advance(n, ""))
         result |= {"samples": len(samples), "columns": len(columns)}

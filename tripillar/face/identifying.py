@@ -65,15 +65,14 @@ def identify(
 ) -> "stages.Twin | stages.SensorCalibration | tuple[stages.NextLoad, ...]":
     """Identify one sensor from measured pairs: its decoder, and what is known of its design and pillars.
 
-    One pair is enough to begin with; the design's table ``[tolerance]`` counts, and next loads alone say where to
-    begin. Which command suits? `tare` zeroes a sensor with nothing on it; `identify --as-designed` finds gains and
-    offsets of its pillars for models that there are; `identify` makes a model of this very sensor, which errs least.
+    One pair is enough to begin with. Which command suits? `tare` zeroes a sensor with nothing on it; `identify
+    --as-designed` finds gains and offsets of its pillars for existing models; `identify` makes a model of this very
+    sensor, which errs least.
 
     Parameters
     ----------
     data : Samples, StoredSamples, Pairs or path, optional
-        Measured pairs: a data set (.nc), or a table of loads with readings (.csv); of more than 20,000 samples a random
-        draw is taken.
+        Measured pairs: a data set (.nc), or a table of loads with readings (.csv).
     design : SensorDesign or path, optional
         Design file (TOML); default: the one that a data set states; the paper's with a table.
     out : path, optional
@@ -83,12 +82,12 @@ def identify(
     port : str, optional
         Board to measure pairs on, or a recording; with a table of loads or typed weights.
     loads : path, optional
-        Table (CSV) of the loads to put on: load,row,col,fz_n and more; in a recording with from_s,to_s, too; default:
-        weights, asked for in grams.
+        Table (CSV) of the loads to put on: load,row,col,fz_n and more, of a recording from_s,to_s; default: weights,
+        asked for in grams.
     keep : path, optional
-        Table (CSV) that measured pairs are added to at once, and continued from; default: beside the model.
+        Table (CSV) for measured pairs, and to continue from; default: beside the model.
     as_designed : bool
-        Take the design as exact, and find gain and offset of each pillar alone; one load should be none at all.
+        Take the design as exact, and find each pillar's gain and offset; one load should be none.
     calibration : path, optional
         Calibration file to take switches and wires from; gains and tare are made anew.
     noise : float, optional
@@ -100,16 +99,16 @@ def identify(
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
     finite : Samples, Decoupler or path, optional
-        Samples of the design at finite strain (.nc), displacements included; or a model trained on such (.safetensors).
+        Samples of the design at finite strain (.nc), or a model trained on such (.safetensors).
     next_loads : int
         Number of loads to propose to measure next.
     have : str, optional
-        List of what you have, for next loads: plate:20kg,pad:15kg,string:3kg,air:30kPa; or a table (CSV); default: what
-        a kitchen has, see docs/decoder.md.
+        What you have for next loads: plate:20kg,pad:15kg,string:3kg,air:30kPa; or a table (CSV); default: what a
+        kitchen has.
     seconds : float
         Time to average over under each load [s].
     force : bool
-        Go on although the pairs look wrong; the decoder remembers why they did.
+        Go on although the data look wrong; a model remembers why they did.
     **more
         Fields of `inputs.Wires`, and baud and timeout of `inputs.Board`.
 
@@ -369,7 +368,7 @@ def _next_loads(
     tolerances: Mapping[str, float] | None, measured: "stages.Pairs | None" = None, twin: "stages.Twin | None" = None,
 ) -> "tuple[stages.NextLoad, ...]":  # fmt: skip
     """Loads to measure next, or to begin with, on a sensor of a design; arguments as of `identify`."""
-    possible, usual_n = _possible(design, have), _usual_loads(design, usual)
+    possible, usual_n = _bearable(_possible(design, have), design), _usual_loads(design, usual)
     named = "fz" if untold(design.unit) else "all"
     if twin is not None and twin.decoder.component.name == named:
         expected, state = twin.posterior.expected, twin.posterior.state
@@ -380,13 +379,32 @@ def _next_loads(
     return stages.next_loads(expected, state, measured, possible, usual_n, count)
 
 
+def _bearable(possible: "list[stages.KnownLoad]", design: SensorDesign) -> "list[stages.KnownLoad]":
+    """Those of at most the largest pressure that the design bears; the others are counted in a line."""
+    most_n = _loads_of(design).normal_mpa[1] * design.pad.size_mm**2
+    kept = [load for load in possible if abs(load.force_n).max() <= most_n]
+    if left_out := len(possible) - len(kept):
+        said = (
+            f"{left_out} of {len(possible)} loads are left out: above the {most_n:.3g} N a pad that this design bears; "
+            f"list lighter ones, such as pad:{most_n / 2:.3g}N"
+        )
+        if not kept:
+            raise DesignError(f"have=: {said}.")
+        current().say(said)
+    return kept
+
+
+def _loads_of(design: SensorDesign) -> "stages.Loads":
+    """Ranges of the loads that suit the design."""
+    return stages.loads_of(stages.respond(design, current().bars)[1])
+
+
 def _usual_loads(design: SensorDesign, protocol: str | None) -> "FloatArray":
     """Random loads of a protocol that suit the design, (n, rows, cols, 3) [N]; of none those of contacts."""
     protocol = protocol or ("contact-fz" if untold(design.unit) else "contact")
     if protocol not in stages.PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(stages.PROTOCOLS)}.")
-    loads = stages.loads_of(stages.respond(design, current().bars)[1])
-    return stages.usual_loads(protocol, design, stages.N_LOADS, loads)
+    return stages.usual_loads(protocol, design, stages.N_LOADS, _loads_of(design))
 
 
 def _proposed(loads: "tuple[stages.NextLoad, ...]") -> list[str]:

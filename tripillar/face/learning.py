@@ -87,15 +87,15 @@ def train(
     Parameters
     ----------
     data : Samples, StoredSamples or path, or several
-        Data set to train on, not with touch; several of one sensor, linear and at finite strain, count as one. Leave
-        samples for tests out; of more than 20,000 a random draw is learned from.
+        Data set to train on, not with touch; several of one sensor count as one. Leave samples out for tests; of more
+        than 20,000 a random draw is used.
     component : str, optional
-        Forces that the network tells, along one axis or all; default: those that act, fz if pillars tell no others.
+        Forces to tell, along one axis or all; default: those that act, or fz if pillars tell no others.
     touch : bool
-        Make a decoder of whatever presses, for a design or a twin's own sensor: on bare rubber from presses that are
-        solved, which takes minutes, once; on stiff pads from forces and moments of the plates, seconds.
+        Make a decoder of whatever presses, for a design or a twin: on bare rubber in minutes, once; on stiff pads in
+        seconds.
     shape : list of path, optional
-        Files of tools that press, as of 'press': a decoder of touches knows them as well.
+        Files of tools that press, too, as of 'press'.
     turn_deg : float or str, optional
         Angle of the tools about z, or X,Y,Z about x, y and z [degrees].
     unit : str, optional
@@ -105,15 +105,14 @@ def train(
     out : path, optional
         Model file to write (.safetensors).
     net : str
-        Network: plain, as in the paper, with a linear skip past the hidden layer, or a convolution over units, which
-        needs fewer samples where no response is known.
+        Network: plain, as in the paper; with a linear skip past the hidden layer; or a convolution over units, for data
+        without a known response.
     hidden : int
         Number of hidden nodes.
     trainer : str
-        Method of training: variable projection, Levenberg-Marquardt, or the paper's (momentum).
+        Method: variable projection, Levenberg-Marquardt, or the paper's momentum.
     feature : str
-        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses, and learns maps
-        of finite strain from samples with displacements.
+        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses.
     goal_mse : float, optional
         Mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own.
     max_iterations : int
@@ -212,22 +211,22 @@ def evaluate(
 ) -> "dict[str, stages.Assessment]":
     """Show the errors of a model, or of another's predictions, beside what the readings allow; or cross-validate.
 
-    Errors are relative (the paper's eq. 17), root mean square, and in % of full scale; two simpler methods
-    stand beside. With folds there is no model: every sample is tested once, by a network that never saw it.
+    Errors are relative (the paper's eq. 17), root mean square, and in % of full scale, beside two simpler methods. With
+    folds every sample is tested once, by a network that never saw it.
 
     Parameters
     ----------
     model : Decoupler or path, or None
         Model file; not with folds.
     data : Samples, StoredSamples or path
-        Data set to test on, which the model has not seen; with folds, of more than 20,000 samples a random draw.
+        Data set to test on, which the model has not seen; with folds at most 20,000 samples at random.
     limits : bool
         Compute the least error that the readings allow, too.
     folds : int, optional
         Number of parts to cross-validate, each tested once; the paper uses 10.
     predictions : array or path, optional
-        Forces that another program makes of the same data, in place of a model: a NetCDF file with force_n (sample,
-        row, col, axis) [N], the samples in their order, NaN along axes that are left out.
+        Forces of another program for the same data, in place of a model: a NetCDF file with force_n (sample, row, col,
+        axis) [N], samples in their order, NaN along axes left out.
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     **training

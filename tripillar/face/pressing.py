@@ -53,8 +53,8 @@ def press(
 ) -> "stages.Contact":
     """Press a rigid shape into the sensor, and drag it along: contact with friction.
 
-    Linear strain is only roughly right deeper than a tenth of the slab's height. Where the rubbers' model is another,
-    frictionless contacts are solved at finite strain, in some 3 to 20 s of processor time.
+    Linear strain is only roughly right deeper than a tenth of the slab's height. Other rubbers without friction are
+    solved at finite strain, in 3 to 20 s of processor time.
 
     Parameters
     ----------

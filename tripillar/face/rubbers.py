@@ -30,7 +30,6 @@ def rubber(
     """Find what a rubber remembers from a bench series: its resistance and force under strain; or check it on another.
 
     A series is a table (CSV) with the columns time_s, strain, force_n, resistance_ohm of one strip; docs/rubber.md.
-    Without the last it gives the law of the force alone.
     `tripillar design --extend` makes a sensor of the rubber.
 
     Parameters
@@ -46,7 +45,7 @@ def rubber(
     picture : path, optional
         PNG file: measured and modelled, what is missed, and a press and release.
     columns : str
-        List of names that columns have in the table, such as time_ms=t,displacement_mm=x,resistance_kohm=R.
+        Names of the table's columns, such as time_ms=t,resistance_kohm=R.
     length_mm : float, optional
         Length of the specimen between its clamps [mm]; of displacements, and of what two wires read.
     section_mm2 : float, optional
@@ -54,9 +53,9 @@ def rubber(
     electrodes_mm : float, optional
         Distance of the electrodes that read [mm]: gives the resistivity, with the section.
     wires : int
-        Number of wires that read the resistance: 4, or 2, whose readings have the contacts in them.
+        Number of wires that read the resistance: 4, or 2, which include the contacts.
     force : bool
-        Take units as they are given although they look wrong, and write a law that misses over 20 % of the range.
+        Take units that look wrong, and write a law that misses over 20 % of the range.
 
     Returns
     -------
@@ -148,7 +147,7 @@ def _said(result: dict[str, Any]) -> str:
         f"relaxing by {elastic['prony']['share'][0]:.1%} and {elastic['prony']['share'][1]:.1%}"
     )
     lines.append(_missed(result))
-    lines += [f"not told: {each['what']}: take {each['test']}" for each in result["unknown"]]
+    lines += [f"unknown: {each['what']}: take {each['test']}" for each in result["unknown"]]
     return "\n".join(lines)
 
 

@@ -76,12 +76,10 @@ def dataset(
     Parameters
     ----------
     design : SensorDesign, ArrayResponse, TwinFile or path, optional
-        Design file (TOML); default: the paper's sensor. Of a twin each sample is another draw of what its pairs leave
-        open.
+        Design file (TOML), or a twin, of which each sample is another draw; default: the paper's sensor.
     protocol : str
-        Kind of loads: independent, each pad its own; contact, by a few indenters; three-axis, each along all axes;
-        light, by 10 N at most; with -fz or -fx along one axis. table: those of a table, at random. indent: shapes
-        pressed and dragged.
+        Loads: independent, each pad its own; contact, by a few indenters; three-axis, each pad along all axes; light,
+        at most 10 N; -fz or -fx, along one axis; table, those of a table at random; indent, shapes pressed and dragged.
     samples : int
         Number of samples to make.
     out : path, optional
@@ -91,15 +89,14 @@ def dataset(
     cap : float
         Largest strain of a pillar; loads past it are drawn again.
     pressure_mpa : tuple of float, optional
-        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, of a design that bears such
-        loads; of others the largest that they bear, down to a fifth of it.
+        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, or what the design bears.
     shear_mpa : tuple of float, optional
         Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
     loads : path, optional
         Table of known loads (CSV), as of 'identify', for the protocol table.
     history : float, optional
-        Seconds of a series of presses, holds, releases, ramps and touches that each sample becomes; the design's rubber
-        remembers and relaxes. Default: samples without a time.
+        Seconds of a series of presses, holds, ramps and touches that each sample becomes; default: samples without a
+        time.
     rate : float, optional
         Moments of a series a second [Hz]; default: 50.
     crossbar : str, optional
@@ -109,8 +106,7 @@ def dataset(
     correct : bool
         Correct the crossbar's crosstalk, as a live sensor does.
     strain : str, optional
-        Model: linear, or finite strain (stiff pads; linear rubber is taken for neo-Hookean); default: the design's
-        materials', or the twin's.
+        Model: linear, or finite strain (stiff pads; linear rubber becomes neo-Hookean); default: the design's.
     workers : int, optional
         Worker processes of finite strain and of .zarr; default: one a core.
     scheduler : str, optional
@@ -120,8 +116,8 @@ def dataset(
     dtype : str
         Type of the numbers; float32 in .zarr alone.
     test_share : float, optional
-        Share of the samples that go into a file beside, for tests, as data-test.nc: of the same sensor, under loads of
-        their own; those of a table are divided.
+        Share of the samples that go into a second file, such as data-test.nc: the same sensor under other loads; those
+        of a table are divided.
     **more
         Fields of `inputs.Wires`, with a crossbar, and of `dataset.Imperfections`: noise, bits, drift, drift_tilt,
         drift_pillar, drift_offset_ohm of readings; gain_spread, offset_ohm, specimen, dead_pillars, dead_rows,

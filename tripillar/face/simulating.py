@@ -56,7 +56,7 @@ def board(
         Link of this name to the port, to be kept while it runs.
     pressure_mpa : float, optional
         Largest pressure of an indenter that comes down on a corner, slides to the opposite one, and lifts [MPa]; 0: at
-        rest; default: 3, of a design that does not bear it the middle of its own range.
+        rest; default: 3, or the middle of what the design bears.
     period_s : float
         Period of the press and slide [s].
     mode : str

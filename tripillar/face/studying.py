@@ -65,7 +65,7 @@ def sweep(
     retry: bool = False,
     best: int = 8,
 ) -> "list[stages.Row]":
-    """Compare many designs by error, range, crosstalk and cost, or search for the one of least error within bounds.
+    """Compare many designs by error, range, crosstalk and cost, or search for the best within bounds.
 
     The same command again goes on where it was stopped.
 

@@ -11,7 +11,7 @@ from geometry.layout import AXES
 from tripillar.face import stages
 
 MIN_SHOWN = 0.01  #: of the largest force on a unit: those below are left out of a contact's table
-NO_SHARE = "–: some of these forces are near 0, of which no error is a share (eq. 17)"
+NO_SHARE = "–: some of these forces are near 0, where relative errors (eq. 17) mean nothing"
 ERRORS = ("relative error", "RMSE [N]", "% of full scale")
 
 

@@ -101,9 +101,8 @@ def view(
     save : path, optional
         File to write: .png, .html, .mp4 or .vtm; default: open a window.
     pressure_mpa : float, str, or a sequence of these
-        Pressure at the indenter's middle or on every pad [MPa], or its share of the most that suits the design, such as
-        60%; several are drawn side by side; default: 3 MPa, of a design that does not bear it the middle of its own
-        range. A scene has its own loads.
+        Pressure at the indenter's middle or on every pad [MPa], or a share of the design's range, such as 60%; several
+        are drawn side by side; default: 3 MPa, or the middle of what the design bears.
     load : str, optional
         Load: a round indenter over the middle of the array, or all pads alike; default: indenter.
     colour : str
