@@ -231,7 +231,7 @@ def test_training_takes_the_posterior_of_what_it_learned():
     first_n = decoder.first_answers(decoder.columns(ohms))
     off_n = decoder.forces(ohms) - force_n
     assert np.std(first_n - force_n.reshape(200, -1)) > 1.2 * np.std(off_n)
-    with mock.patch.object(posterior, "STEPS", 8):
+    with mock.patch.object(posterior, "NEWTON_STEPS", 8):
         assert np.std(off_n) < 1.02 * np.std(decoder.forces(ohms) - force_n)
     with pytest.raises(SampleError, match="data set 2 has another design"):
         joined([labelled(sensor(1, cols), "xyz", n_samples=3, seed=0) for cols in (1, 2)])
