@@ -97,7 +97,7 @@ def linear_note(body: SensorDesign | Scene, panels: dict[str, Parts]) -> str:
     moved = max(map(moved_share, panels.values()))
     if isinstance(body, SensorDesign):
         return beyond_linear(max(pillar_strain(body, panel) for panel in panels.values()), moved)
-    return f"linear, but moved by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
+    return f"linear, though it moves by {moved:.0%} of its height" if moved > LINEAR_UP_TO else ""
 
 
 def moved_share(parts: Parts) -> float:
@@ -109,9 +109,9 @@ def moved_share(parts: Parts) -> float:
 def beyond_linear(strain: float, moved: float = 0.0) -> str:
     """Warning of the largest strain of a pillar beyond `LINEAR_UP_TO`, or of a displacement over the height beyond
     `LARGE_SHARE`; empty up to these."""
-    said = [f"a pillar strain of {strain:.0%}"] if strain > LINEAR_UP_TO else []
-    said += [f"moved by {moved:.0%} of its height"] if moved > LARGE_SHARE else []
-    return f"linear, but {' and '.join(said)}" if said else ""
+    said = [f"a pillar is strained by {strain:.0%}"] if strain > LINEAR_UP_TO else []
+    said += [f"the top moves by {moved:.0%} of the height"] if moved > LARGE_SHARE else []
+    return f"linear, though {' and '.join(said)}" if said else ""
 
 
 def pillar_strain(design: SensorDesign, parts: Parts) -> float:

@@ -111,7 +111,7 @@ def test_the_strain_in_the_warning_is_that_of_the_data_sets_and_the_page(panels,
     assert shown.pillar_strain(DESIGN, panels["3 MPa on every pad"]) == pytest.approx(
         expected, rel=0.02
     )  # 16 points of each
-    assert shown.linear_note(DESIGN, panels).startswith("linear, but a pillar strain of ")
+    assert shown.linear_note(DESIGN, panels).startswith("linear, though a pillar is strained by ")
     assert shown.linear_note(DESIGN, {"1 MPa": panels["1 MPa on every pad"]}) == ""
 
 

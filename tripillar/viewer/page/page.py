@@ -249,7 +249,7 @@ class Page:
             of_scan = {"faults": feed.faults, "contacts": feed.contacts} if controls["source"] == "sensor" else {}
             shown |= {"link": feed.link, "ended": feed.ended, "faults": [], "contacts": []} | of_scan
             shown["is_stale"] = feed.is_stale and controls["source"] == "sensor"
-            shown["trouble"] = feed.trouble
+            shown["trouble"] = feed.trouble or (feed.link if shown["is_stale"] else "")
         return shown
 
     def _loaded(self) -> Reading:
