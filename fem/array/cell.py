@@ -8,31 +8,23 @@ displacements are combinations of hierarchical Lobatto functions: along a side t
 and bubbles, upwards functions that vanish at the clamped base. Modes belong to a vertical edge or to a face, so that
 neighbours share them and the field is continuous. Upward functions are polynomials of z^`CLAMPED`, since that is how
 displacements begin where a free side meets the clamped base: six do what nine polynomials of z do.
-
-`CellSides` keeps the nodes of the side faces instead: from it a cell of any place in an array follows without another
-elimination. A side shared with a neighbour moves by port modes; one at the rim is free, and moves as its nodes do.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
-from fem.kernel.factor import Factor, SparseMatrix, checked_solve, schur_complement, schur_product, whole
+from fem.kernel.factor import Factor, SparseMatrix, checked_solve, schur_product, whole
 from fem.kernel.mirrors import Parity, flipped_rectangles, images, parities
-from fem.kernel.reference import IntArray
 from fem.kernel.system import System
 from geometry.layout import FloatArray
 
 EDGES = ((-1, -1), (1, -1), (-1, 1), (1, 1))  #: signs of x and y of the vertical edges
 FACES = ((0, -1), (0, 1), (1, -1), (1, 1))  #: normal axis and its sign
-OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))  #: of each face
-Free = tuple[int, ...]  #: numbers of the `FACES` that no neighbour shares
 CLAMPED = 0.7  #: exponent of displacements at the clamped end of a free side: 0.6 as ν → 0.5, 0.71 at 0.3
 ROUNDING = 1e-14  #: of a mode that does not move a node
 ON_FACE = 1e-9  #: of the half pitch: how far rounding may take a node off a side face
@@ -220,7 +212,7 @@ def _eliminated(
 ) -> CondensedCell:
     """What a cell does in fields of a parity: `condense` of one of its copies, under loads (m, k·3) on the unknowns."""
     points, copies = system.points_mm, system.copies
-    on_side = on_faces(points, ports.half_mm) & (system.number >= 0)
+    on_side = (np.abs(points[:, :2]).max(axis=1) > ports.half_mm * (1 - ON_FACE)) & (system.number >= 0)
     K = system.rest_matrix(parity)
     block = K.blocksize[0] if K.format == "bsr" else 1
     follows = (3 * system.number[on_side][:, None] + np.arange(3)).ravel()
@@ -273,110 +265,3 @@ def _part(K: SparseMatrix, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> 
     block = K.blocksize[0]
     shape = (block * len(rows), block * len(cols))
     return sp.bsr_matrix((K.data[some.data - 1], some.indices, some.indptr), shape=shape)
-
-
-def on_faces(points_mm: FloatArray, half_mm: float, free: Free = ()) -> NDArray[np.bool_]:
-    """Which points (n, 3) of a cell lie on a side that is not free, shape (n,)."""
-    found = np.zeros(len(points_mm), dtype=bool)
-    for number, (axis, side) in enumerate(FACES):
-        if number not in free:
-            found |= side * points_mm[:, axis] > half_mm * (1 - ON_FACE)
-    return found
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CellSides:
-    """A cell seen from the n nodes of its side faces and k rectangles of its top face; units as of `CondensedCell`."""
-
-    points_mm: FloatArray  #: of the nodes that are not clamped, (n, 3)
-    half_mm: float  #: half the pitch
-    height_mm: float
-    stiffness: FloatArray  #: (n·3, n·3)
-    transfer: FloatArray  #: (n·3, k·3)
-    compliance: FloatArray  #: with the nodes held, (k·3, k·3)
-    unknowns: int
-    residual: float
-    _known: dict[int, Any] = field(default_factory=dict, repr=False)  #: by degree, see `_pulls`
-
-    @classmethod
-    def of(cls, system: System, rectangles: FloatArray, free: Free = ()) -> "CellSides":
-        """Condense a whole cell with rectangles (k, 4) of its top face; of sides always free no nodes are kept."""
-        points, half_mm = system.points_mm, float(system.points_mm[:, 0].max())
-        on_side = on_faces(points, half_mm, free) & (system.number >= 0)
-        mean = system.integrals(rectangles).toarray() / (rectangles[:, 2:] - rectangles[:, :2]).prod(axis=1)[:, None]
-        forces = np.einsum("kn,ij->kinj", mean, np.eye(3)).reshape(-1, len(points), 3)
-        K, last = whole(system.rest_matrix()), (3 * system.number[on_side][:, None] + np.arange(3)).ravel()
-        order = np.concatenate([np.setdiff1d(np.arange(K.shape[0]), last), last])
-        loads = sp.csr_matrix(system.rest_loads(forces)[order])
-        bordered = sp.block_array([[K[order][:, order], loads], [loads.T, None]], format="csr")
-        S, residual = schur_complement(sp.triu(bordered, format="csr"), len(last) + loads.shape[1])
-        n = len(last)
-        return cls(
-            points_mm=points[on_side],
-            half_mm=half_mm,
-            height_mm=float(points[:, 2].max()),
-            stiffness=S[:n, :n],
-            transfer=S[:n, n:],
-            compliance=-S[n:, n:],
-            unknowns=K.shape[0],
-            residual=residual,
-        )
-
-    def _pulls(self, ports: PortModes) -> tuple[FloatArray, list[tuple[IntArray, IntArray, FloatArray, FloatArray]]]:
-        """Modes at all nodes (n, n_modes), and for the nodes of every face and edge: these, the degrees of freedom of
-        modes that move them, and the rows of Φᵀ K_BB and Φᵀ f_B of these nodes alone. Made once for all places."""
-        if ports.degree not in self._known:
-            n, k, values = len(self.points_mm), self.transfer.shape[1], ports.values(self.points_mm)
-            on = np.column_stack([on_faces(self.points_mm, self.half_mm, OTHERS[face]) for face in range(len(FACES))])
-            pulls = []
-            for where in np.unique(on, axis=0):
-                own = np.flatnonzero((on == where).all(axis=1))
-                moving = np.flatnonzero(np.abs(values[own]).max(axis=0) > 0)
-                weights = values[np.ix_(own, moving)].T
-                sides = (weights @ self.stiffness.reshape(n, 9 * n)[own]).reshape(-1, 3 * n)
-                loads = (weights @ self.transfer.reshape(n, 3 * k)[own]).reshape(-1, k)
-                pulls.append((own, (3 * moving[:, None] + np.arange(3)).ravel(), sides, loads))
-            self._known[ports.degree] = values, pulls
-        return self._known[ports.degree]
-
-    def cell(self, degree: int, free: Free = ()) -> CondensedCell:
-        """The cell with ports of a degree on all sides but the free ones.
-
-        Modes of free sides alone move nothing: they have the stiffness of 1 N/mm, and none with others.
-        """
-        ports = PortModes(self.half_mm, self.height_mm, degree)
-        follows = on_faces(self.points_mm, self.half_mm, free)
-        y, x, _ = ports.blocks.T
-        moving = np.any(
-            [(x, y)[axis] == side for number, (axis, side) in enumerate(FACES) if number not in free], axis=0
-        )
-        kept = np.flatnonzero(np.repeat(np.broadcast_to(moving, x.shape), degree))
-        values, pulls = self._pulls(ports)
-        n, m, k = len(self.points_mm), 3 * len(kept), self.transfer.shape[1]
-        K, L = (np.zeros((3 * ports.n_modes, count)) for count in (3 * n, k))
-        for own, rows, of_sides, of_loads in pulls:
-            if follows[own[0]]:
-                K[rows] += of_sides
-                L[rows] += of_loads
-        dofs = (3 * kept[:, None] + np.arange(3)).ravel()
-        K, L = K[dofs].reshape(m, n, 3), L[dofs]
-        S = np.einsum("apc,pq->aqc", K[:, follows], values[follows][:, kept], optimize=True).reshape(m, m)
-        C = self.compliance
-        loose = (3 * np.flatnonzero(~follows)[:, None] + np.arange(3)).ravel()
-        if len(loose):
-            coupling = np.hstack([K[:, ~follows].reshape(m, len(loose)).T, self.transfer[loose]])
-            lower = cholesky(self.stiffness[np.ix_(loose, loose)], lower=True, overwrite_a=True, check_finite=False)
-            half = solve_triangular(lower, coupling, lower=True, overwrite_b=True, check_finite=False)
-            of_modes, of_loads = half[:, :m], half[:, m:]
-            S, L, C = S - of_modes.T @ of_modes, L - of_modes.T @ of_loads, C + of_loads.T @ of_loads
-        stiffness, transfer = np.eye(3 * ports.n_modes), np.zeros((3 * ports.n_modes, k))
-        stiffness[np.ix_(dofs, dofs)] = (S + S.T) / 2
-        transfer[dofs] = L
-        return CondensedCell(
-            ports=ports,
-            stiffness=stiffness,
-            transfer=transfer,
-            compliance=C,
-            unknowns=self.unknowns,
-            residual=self.residual,
-        )

@@ -3,7 +3,7 @@
 Cells that touch share the modes of their common face and edges, so the array is a sparse system of small dense blocks.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,47 +11,24 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.array.cell import CondensedCell, Free
+from fem.array.cell import CondensedCell
 from fem.array.closed_forms import influence_range
 from fem.kernel.factor import Factor, checked_solve
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
-Kinds = Mapping[Free, CondensedCell]  #: the cell of each place; of () wherever there is none of its own
 COLUMNS = 128  #: load cases solved for at a time
-
-
-def free_sides(row: int, col: int, rows: int, cols: int) -> Free:
-    """Sides of a cell that lie at the rim of an array.
-
-    >>> free_sides(0, 1, rows=1, cols=2)
-    (1, 2, 3)
-    """
-    at_rim = (col == 0, col == cols - 1, row == 0, row == rows - 1)
-    return tuple(number for number, free in enumerate(at_rim) if free)
-
-
-def places(rows: int, cols: int) -> list[Free]:
-    """The different places of an array's cells."""
-    return sorted({free_sides(i, j, rows, cols) for i in range(rows) for j in range(cols)})
 
 
 class CoupledArray:
     """rows × cols copies of a cell, factored once.
 
-    Cell (i, j) lies at row i (along y) and column j (along x) and has number i·cols + j. With several kinds of cells,
-    each place has its own.
+    Cell (i, j) lies at row i (along y) and column j (along x) and has number i·cols + j.
     """
 
-    def __init__(self, cells: CondensedCell | Kinds, rows: int, cols: int) -> None:
-        kinds: Kinds = {(): cells} if isinstance(cells, CondensedCell) else cells
-        self.rows, self.cols = rows, cols
-        #: every kind of cell, and the numbers of its copies
-        self._kinds: list[tuple[CondensedCell, NDArray[np.int64]]] = []
-        at = [free if (free := free_sides(i, j, rows, cols)) in kinds else () for i, j in np.ndindex(rows, cols)]
-        for free in dict.fromkeys(at):
-            self._kinds.append((kinds[free], np.array([k for k, place in enumerate(at) if place == free])))
-        ports = self._kinds[0][0].ports
+    def __init__(self, cell: CondensedCell, rows: int, cols: int) -> None:
+        self.cell, self.rows, self.cols = cell, rows, cols
+        ports = cell.ports
         i, j = (index.reshape(-1, 1) for index in np.indices((rows, cols)))
         y, x, bubble = ports.blocks.T  # on a lattice of twice as many places: vertical edges are odd ones of both axes
         places = np.stack(np.broadcast_arrays(2 * i + y, 2 * j + x, bubble), axis=-1)
@@ -74,18 +51,13 @@ class CoupledArray:
         The k load cases are forces (n_cells, m, k) on the m functionals of each cell [N].
         """
         q, residual = self.port_displacements(forces)
-        moved = np.empty(forces.shape)
-        for cell, own in self._kinds:
-            moved[own] = cell.transfer.T @ q[own] + cell.compliance @ forces[own]
-        return moved, residual
+        return self.cell.transfer.T @ q + self.cell.compliance @ forces, residual
 
     def port_displacements(self, forces: FloatArray) -> tuple[FloatArray, float]:
         """Displacement of every cell's port modes, (n_cells, n_modes·3, k) [mm], and the residual, as in `moved`."""
         pulls = np.zeros((self.n_cells, self._dofs.shape[1], forces.shape[2]))
         is_loaded = np.asarray(forces.any(axis=(1, 2)))
-        for cell, every in self._kinds:
-            own = every[is_loaded[every]]
-            pulls[own] = cell.transfer @ forces[own]
+        pulls[is_loaded] = self.cell.transfer @ forces[is_loaded]
         rhs = self._gathered(pulls)
         q, residual = checked_solve(self._factor, rhs, self._product)
         return q[self._dofs], residual
@@ -95,8 +67,8 @@ class CoupledArray:
 
         Returns shape (rows, cols, n_observed, rows, cols, n_loads) [mm/N], observed first, and the largest residual.
         """
-        rows = [np.hstack([c.transfer[:, observed].T, c.compliance[observed][:, loads]]) for c, _ in self._kinds]
-        found, residual = self._seen(rows, loads)
+        rows = np.hstack([self.cell.transfer[:, observed].T, self.cell.compliance[observed][:, loads]])
+        found, residual = self.seen(rows, loads)
         return found.reshape(self.rows, self.cols, len(observed), self.rows, self.cols, len(loads)), residual
 
     def seen(self, functionals: FloatArray, loads: Sequence[int]) -> tuple[FloatArray, float]:
@@ -105,28 +77,21 @@ class CoupledArray:
         `functionals` (k, n_modes·3 + n_loads) are rows on a cell's port displacements and on the forces of its own
         loads. Shape (n_cells, k, n_cells, n_loads), seen first.
         """
-        return self._seen([functionals] * len(self._kinds), loads)
-
-    def _seen(self, functionals: Sequence[FloatArray], loads: Sequence[int]) -> tuple[FloatArray, float]:
-        """The same, each kind of cells by functionals of its own."""
         n_ports, residual, every = self._dofs.shape[1], 0.0, np.arange(self.n_cells)
-        found = np.empty((self.n_cells, len(functionals[0]), self.n_cells, len(loads)))
+        found = np.empty((self.n_cells, len(functionals), self.n_cells, len(loads)))
         at_once = max(1, COLUMNS // len(loads))  # bounds the memory
         for loaded in np.split(every, every[at_once::at_once]):
             forces = self._unit_forces(loaded, loads)
             q, misfit = self.port_displacements(forces)
-            for rows, (_, own) in zip(functionals, self._kinds, strict=True):
-                moved, of_own = rows[:, :n_ports] @ q[own], np.isin(own, loaded)
-                moved[of_own] += rows[:, n_ports:] @ forces[own[of_own]][:, loads]
-                found[np.ix_(own, np.arange(found.shape[1]), loaded)] = moved.reshape(
-                    len(own), -1, len(loaded), len(loads)
-                )
+            moved = functionals[:, :n_ports] @ q
+            moved[loaded] += functionals[:, n_ports:] @ forces[loaded][:, loads]
+            found[:, :, loaded] = moved.reshape(*found.shape[:2], len(loaded), len(loads))
             residual = max(residual, misfit)
         return found, residual
 
     def _unit_forces(self, loaded: NDArray[np.int64], loads: Sequence[int]) -> FloatArray:
         """Forces (n_cells, m, k) of 1 N on each of some loads of each of some cells."""
-        each = np.zeros((self.n_cells, self._kinds[0][0].transfer.shape[1], len(loaded), len(loads)))
+        each = np.zeros((self.n_cells, self.cell.transfer.shape[1], len(loaded), len(loads)))
         for number, load in enumerate(loads):
             each[loaded, load, np.arange(len(loaded)), number] = 1.0
         return each.reshape(*each.shape[:2], -1)
@@ -159,10 +124,8 @@ class CoupledArray:
 
     def _product(self, q: FloatArray) -> FloatArray:
         """Stiffness of all ports times their displacements (n, k), cell by cell: faster than the sparse product."""
-        pulls = np.empty((*self._dofs.shape, q.shape[1]))
-        for cell, own in self._kinds:
-            pulls[own] = np.tensordot(cell.stiffness, q[self._dofs[own]], axes=(1, 1)).swapaxes(0, 1)  # in one product
-        return self._gathered(pulls)
+        pulls = np.tensordot(self.cell.stiffness, q[self._dofs], axes=(1, 1))  # in one product
+        return self._gathered(pulls.swapaxes(0, 1))
 
     def _gathered(self, forces: FloatArray) -> FloatArray:
         """Sum at the shared ports of what cells exert there, (n_cells, n_modes·3, k), shape (n, k)."""
@@ -173,11 +136,9 @@ class CoupledArray:
         n, size, count = self._n_blocks, self._size, self._blocks.shape[1]
         keys, entry = np.unique(self._blocks[:, :, None] * n + self._blocks[:, None, :], return_inverse=True)
         data = np.zeros((len(keys), size, size))
-        entry = entry.reshape(self.n_cells, count, count)
-        for cell, own in self._kinds:
-            blocks = cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
-            for number in own:
-                data[entry[number]] += blocks
+        blocks = self.cell.stiffness.reshape(count, size, count, size).transpose(0, 2, 1, 3)
+        for own in entry.reshape(self.n_cells, count, count):
+            data[own] += blocks
         indptr = np.searchsorted(keys, np.arange(n + 1) * n)
         return sp.bsr_matrix((data, keys % n, indptr), shape=(n * size, n * size))
 

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from fem.array.cell import CondensedCell, Free, condense
+from fem.array.cell import CondensedCell, condense
 from fem.array.design_cell import WEIGHTS, Asked, DesignCell, Difference, RefinedCell, Stage, functionals
 from fem.kernel.elements import Basis, hexahedra
 from fem.kernel.kinks import KinkedRubber
@@ -97,9 +97,9 @@ class CutCell(DesignCell):
 
     def __init__(self, design: SensorDesign, rectangles_mm: FloatArray | None = None) -> None:
         super().__init__(design, rectangles_mm)
-        self.is_grid, self._places = True, [()]
+        self.is_grid = True
 
-    def _condensed(self, level: int, degree: int, free: Free) -> CondensedCell:
+    def _condensed(self, level: int, degree: int) -> CondensedCell:
         return condense(cut_system(self.design, level), self._ports(degree), self.rectangles)
 
     def stages(self, tolerance: float) -> tuple[Stage, ...]:

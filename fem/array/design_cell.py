@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from skfem import MeshTet
 
-from fem.array.cell import CellSides, CondensedCell, Free, PortModes, condense
-from fem.array.coupled_cells import Kinds, places
+from fem.array.cell import CondensedCell, PortModes, condense
 from fem.kernel.field import Field, Places
 from fem.kernel.law import LAWS
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
@@ -59,7 +58,7 @@ PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direc
 #: measured under soft pads and 0.5 to 0.6 under stiff ones, whose edges are more singular
 GRID_RATE, MESH_RATE = 2.5, {"soft": 1.1, "stiff": 0.65}
 
-Asked = Callable[[Kinds], FloatArray]  #: of an array of cells
+Asked = Callable[[CondensedCell], FloatArray]  #: of an array of copies of a cell
 Difference = Callable[[FloatArray, FloatArray], float]  #: how far one answer is from another, relative
 Stage = tuple[int, int, int]  #: of refinement: coarse and fine level, and the degree of the port modes
 #: stages of grids; edges of stiff pads ask for ports of a higher degree
@@ -68,7 +67,7 @@ GRID_STAGES: dict[str, tuple[Stage, ...]] = {
     "stiff": ((1, 2, 6), (2, 3, 8), (3, 4, 9), (4, 6, 10)),
 }
 #: the same for tetrahedra, whose levels count refinements
-MESH_STAGES: tuple[Stage, ...] = ((0, 1, 5), (0, 2, 7), (2, 3, 8), (2, 4, 8), (3, 5, 9))
+MESH_STAGES: tuple[Stage, ...] = ((0, 1, 6), (0, 2, 8), (2, 3, 9), (2, 4, 9), (3, 5, 10))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 MESH_LIMITS = (2e-2, 4e-3, 2e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
 #: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.1 to 10 times
@@ -81,7 +80,7 @@ COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarses
 #: times as soft), half of them below 2.6, and 1.7 to 4.2 on 2 × 2 units with pillars 3 times as stiff and 8 times as
 #: soft. Under stiff pads they are 1.8 to 9 times the error of responses on three designs (pillars 1/3, 4 and 8 times as
 #: stiff), 0.8 to 11 times that of loaded units, and 0.6 to 5 times that of far electrodes that move a hundredth as far
-MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 0.6
+MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 1.0
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell is judged, at most: it has every neighbourhood
 
@@ -90,24 +89,24 @@ MAX_TESTED = 3  #: rows and columns of the array on which a cell is judged, at m
 class RefinedCell:
     """Condensed cells with what is known of the error of arrays of them."""
 
-    cells: tuple[tuple[float, Kinds], ...]  #: whose answers, times these weights, add up to the best one
+    cells: tuple[tuple[float, CondensedCell], ...]  #: whose answers, times these weights, add up to the best one
     error_estimate: float  #: of the answer, relative; of a response of any block, relative to the loaded unit's own
     steps: tuple[str, ...]  #: one line a stage of refinement
     seconds: dict[str, float] = field(default_factory=dict)  #: by step, of a cell that was not in the cache
 
     def answered(self, answer: Asked) -> FloatArray:
         """The weighted sum of the cells' answers."""
-        return np.sum([weight * answer(kinds) for weight, kinds in self.cells], axis=0)
+        return np.sum([weight * answer(cell) for weight, cell in self.cells], axis=0)
 
     @property
     def finest(self) -> CondensedCell:
-        """One of the finest cells."""
-        return next(iter(self.cells[0][1].values()))
+        """The finest cell."""
+        return self.cells[0][1]
 
     @property
     def residual(self) -> float:
         """The largest of the cells' residuals."""
-        return max(cell.residual for _, kinds in self.cells for cell in kinds.values())
+        return max(cell.residual for _, cell in self.cells)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -205,11 +204,9 @@ class DesignCell:
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None
         self.is_grid = design.is_homogeneous and not from_cad
-        self._places = [()] if self.is_grid else places(design.array.rows, design.array.cols)
         self._watch = Stopwatch("mesh", "condense", "couple")
         self._bodies: list[Rubber] = []
-        self._cells: dict[tuple[int, Free], CondensedCell] = {}
-        self._sides: dict[tuple[int, Free], CellSides] = {}
+        self._cells: dict[int, CondensedCell] = {}
 
     @cached_property
     def _adapted(self) -> AdaptedTetrahedra:
@@ -237,29 +234,23 @@ class DesignCell:
         self._watch.spent("mesh")
         return self._bodies[level]
 
-    def condensed(self, level: int, degree: int, free: Free = ()) -> CondensedCell:
-        """The cell condensed at a level onto ports of a degree; of tetrahedra with some sides free.
-
-        None is condensed twice.
-        """
-        known = self._cells.get((level, free))
+    def condensed(self, level: int, degree: int) -> CondensedCell:
+        """The cell condensed at a level onto ports of a degree; none is condensed twice to the same or a lower one."""
+        known = self._cells.get(level)
         if known is None or known.ports.degree < degree:
-            known = self._cells[level, free] = self._condensed(level, degree, free)
+            known = self._cells[level] = self._condensed(level, degree)
         self._watch.spent("condense")
         return known.of_degree(degree)
 
-    def _condensed(self, level: int, degree: int, free: Free) -> CondensedCell:
-        if self.is_grid:
-            mirrors = cell_mirrors(self.design)
-            lines = cell_lines(self.design, level, mirrors)
-            system = grid_system(lines, [self.design.matrix_material], self.plate, mirrors)
-            is_square = len(mirrors) == 2 and np.array_equal(lines[0], lines[1])
-            return condense(system, self._ports(degree), self.rectangles, is_square)
-        never_shared = tuple(side for side in free if all(side in other for other in self._places))
-        if (level, never_shared) not in self._sides:
+    def _condensed(self, level: int, degree: int) -> CondensedCell:
+        if not self.is_grid:
             system = System(self.tetrahedra(level), plate_on(self.plate))
-            self._sides[level, never_shared] = CellSides.of(system, self.rectangles, never_shared)
-        return self._sides[level, never_shared].cell(degree, free)
+            return condense(system, self._ports(degree), self.rectangles)
+        mirrors = cell_mirrors(self.design)
+        lines = cell_lines(self.design, level, mirrors)
+        system = grid_system(lines, [self.design.matrix_material], self.plate, mirrors)
+        is_square = len(mirrors) == 2 and np.array_equal(lines[0], lines[1])
+        return condense(system, self._ports(degree), self.rectangles, is_square)
 
     def _ports(self, degree: int) -> PortModes:
         return PortModes(self.design.array.pitch_mm / 2, self.design.unit.height_mm, degree)
@@ -282,10 +273,6 @@ class DesignCell:
         return CellInterior(
             cell=cell, field=Field(places=where, body=system.body, displacement_mm=moved, loaded_mm=loaded)
         )
-
-    def kinds(self, level: int, degree: int) -> Kinds:
-        """The cell of every place in the design's array; grids have one for all."""
-        return {free: self.condensed(level, degree, free) for free in self._places}
 
     def refined(
         self,
@@ -327,29 +314,28 @@ class DesignCell:
         highest degree changed, of tetrahedra a fraction of what the highest two did: the last is small now and then.
         """
         coarse, fine, degree = stage
-        one, two = self.kinds(coarse, COMPARED_DEGREE), self.kinds(fine, degree)
-        factor, low = self.error_factor(coarse, fine), _of_degree(two, COMPARED_DEGREE)
-        cells: tuple[tuple[float, Kinds], ...]
+        one, two = self.condensed(coarse, COMPARED_DEGREE), self.condensed(fine, degree)
+        factor, low = self.error_factor(coarse, fine), two.of_degree(COMPARED_DEGREE)
+        cells: tuple[tuple[float, CondensedCell], ...]
         if self.is_grid:
-            better: Kinds = {free: cell.extrapolated(one[free], factor) for free, cell in two.items()}
-            if all(cell.is_definite for cell in better.values()):  # extrapolated in these degrees alone
-                of_levels = difference(answer(low), answer(_of_degree(better, COMPARED_DEGREE)))
+            better = two.extrapolated(one, factor)
+            if better.is_definite:  # extrapolated in these degrees alone
+                of_levels = difference(answer(low), answer(better.of_degree(COMPARED_DEGREE)))
                 of_levels *= self.extrapolation_error
             else:
                 better, of_levels = two, factor * difference(answer(one), answer(low))
             cells, found = ((1.0, better),), answer(better)
-            of_ports = difference(answer(_of_degree(better, degree - 1)), found)
+            of_ports = difference(answer(better.of_degree(degree - 1)), found)
         else:
             cells = ((1.0, two), (factor, low), (-factor, one))
             plain, step = answer(two), factor * (answer(low) - answer(one))
             found = plain + step
             of_levels = MESH_EXTRAPOLATION_ERROR * difference(plain, found)
-            of_ports = MESH_PORTS * difference(answer(_of_degree(two, degree - 2)) + step, found)
+            of_ports = MESH_PORTS * difference(answer(two.of_degree(degree - 2)) + step, found)
         self._watch.spent("couple")
-        finest = next(iter(two.values()))
         line = (
-            f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {finest.unknowns} unknowns in the cell, "
-            f"{finest.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the cell, {of_ports:.1e} of "
+            f"levels {coarse:g} and {fine:g}, ports of degree {degree}: {two.unknowns} unknowns in the cell, "
+            f"{two.stiffness.shape[0]} at its ports; estimated error {of_levels:.1e} of the cell, {of_ports:.1e} of "
             "the ports"
         )
         seconds, error = self._watch.seconds, of_levels + of_ports
@@ -361,10 +347,6 @@ class DesignCell:
             return richardson_factor(coarse, fine, GRID_RATE)
         one, other = (System(self._bodies[level]).n_unknowns for level in (coarse, fine))
         return richardson_factor(one, other, MESH_RATE[self.design.pad.kind])
-
-
-def _of_degree(cells: Kinds, degree: int) -> Kinds:
-    return {free: cell.of_degree(degree) for free, cell in cells.items()}
 
 
 def plate_on(plate: FloatArray | None) -> list[Load]:

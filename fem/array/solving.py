@@ -11,8 +11,9 @@ import numpy as np
 from common.errors import DesignError
 from common.storage.cache import kept, kept_value
 from common.storage.files import digest
+from fem.array.cell import CondensedCell
 from fem.array.closed_forms import layer_response
-from fem.array.coupled_cells import CoupledArray, Kinds, TruncatedArray
+from fem.array.coupled_cells import CoupledArray, TruncatedArray
 from fem.array.cut_cell import refine
 from fem.array.design_cell import MAX_TESTED, PADS, RefinedCell, electrode_means
 from fem.array.response import ArrayResponse, read_response, write_response
@@ -20,8 +21,8 @@ from geometry.design import Electrics, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray
 
 VERSION = 8  #: raise when the same design and settings give another response, so that cached ones are not reused
-CELL_VERSION = 10  #: the same of refined cells
-TWO_RUBBERS = 1  #: and of responses of pillars of another rubber, whose cells change more often
+CELL_VERSION = 11  #: the same of refined cells
+TWO_RUBBERS = 2  #: and of responses of pillars of another rubber, whose cells change more often
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
@@ -130,8 +131,8 @@ def _by_cells(
     progress(f"coupling {rows} × {cols}")
     residuals = [refined.residual]
 
-    def influence_of(kinds: Kinds) -> FloatArray:
-        found, misfit = CoupledArray(kinds, rows, cols).influence(PADS, electrode_means(design))
+    def influence_of(cell: CondensedCell) -> FloatArray:
+        found, misfit = CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))
         residuals.append(misfit)
         return found
 
@@ -170,8 +171,8 @@ def refined_cell(
     """
     rows, cols = (min(MAX_TESTED, count) for count in (design.array.rows, design.array.cols))
 
-    def influence(cells: Kinds) -> FloatArray:
-        return CoupledArray(cells, rows, cols).influence(PADS, electrode_means(design))[0]
+    def influence(cell: CondensedCell) -> FloatArray:
+        return CoupledArray(cell, rows, cols).influence(PADS, electrode_means(design))[0]
 
     def make() -> RefinedCell:
         return refine(design, tolerance, influence, block_error, progress, from_cad=from_cad)[0]
@@ -215,7 +216,7 @@ def check_unit(design: SensorDesign, progress: Callable[[str], None] = lambda st
     tolerance = ResponseSettings().suited(design).tolerance
     assert tolerance is not None  # cells have one
     refined = refined_cell(design, tolerance, cached=True)
-    alone_mm_per_n = refined.answered(lambda kinds: next(iter(kinds.values())).free_compliance)
+    alone_mm_per_n = refined.answered(lambda cell: cell.free_compliance)
     ours = alone_mm_per_n[electrode_means(design)][:, PADS]
     return UnitCheck(
         difference=float(np.linalg.norm(unit.influence_mm_per_n.reshape(ours.shape) - ours) / np.linalg.norm(ours)),

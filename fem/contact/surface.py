@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from common.errors import DesignError
 from common.storage.cache import kept_value
 from common.storage.files import digest
-from fem.array.cell import CellSides, CondensedCell
+from fem.array.cell import CondensedCell, condense
 from fem.array.closed_forms import layer_mean_compliance
 from fem.array.conducted import USUAL, conducted_by_loads
 from fem.array.coupled_cells import CoupledArray, TruncatedArray, endless_influence
@@ -171,7 +171,7 @@ def _solved(design: SensorDesign, progress: Callable[[str], None]) -> SurfaceCom
     if not design.is_homogeneous:  # of bare matrix, on the same mesh
         rubbers = [source.design.matrix_material]
         matrix = Rubber.of(source.tetrahedra(MESH_LEVEL).basis.mesh, taylor_hood(), rubbers)
-        plain = CellSides.of(System(matrix), source.rectangles).cell(NEAR_DEGREE if has_tops else MESH_DEGREE)
+        plain = condense(System(matrix), own.ports, source.rectangles)
     elif source.plate is not None:
         plain = _extrapolated(DesignCell(design, source.rectangles, has_plate=False))
     progress(f"coupling {rows} × {cols}")

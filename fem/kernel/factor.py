@@ -1,7 +1,6 @@
 """Sparse linear systems: factored once or again and again, by MKL PARDISO (x86-64) or SciPy's SuperLU.
 
-`Factor` gives unchecked solutions for many right-hand sides; `checked_solve`, `schur_product` and
-`schur_complement` check theirs.
+`Factor` gives unchecked solutions for many right-hand sides; `checked_solve` and `schur_product` check theirs.
 """
 
 import ctypes
@@ -171,7 +170,7 @@ class _Pardiso:
     2026.2). Scaling and matching (11, 13) want the values at the analysis, and tangents need neither.
     """
 
-    def __init__(self, part: SparseMatrix, mtype: int, by_degree: bool = False, n_last: int = 0) -> None:
+    def __init__(self, part: SparseMatrix, mtype: int, by_degree: bool = False) -> None:
         block = part.blocksize[0] if part.format == "bsr" else 1
         self.n, self.mtype = part.shape[0], mtype
         if part.nnz >= 2**31:
@@ -183,8 +182,6 @@ class _Pardiso:
             raise _not_factored(self.n, "an entry on the diagonal is missing.")
         self.take(part)
         self._pt = np.zeros(64, dtype=np.int64)
-        self.n_last = n_last
-        self._is_last = (np.arange(self.n) >= self.n - n_last).astype(np.int32)
         self.iparm = np.zeros(64, dtype=np.int32)
         # numbers as in MKL's manual, which counts from 1; its own defaults gave wrong answers (pypardiso issue 87)
         for number, value in {
@@ -193,7 +190,6 @@ class _Pardiso:
             8: 0,  # no iterative refinement, unless a pivot had to be perturbed
             10: 13,  # perturb pivots below 1e-13: none of definite, quasi-definite or indefinite tangents' were
             21: 1,  # 1×1 and 2×2 Bunch-Kaufman pivots
-            36: 2 if n_last else 0,  # keep the last unknowns, give their Schur complement
             35: 1,  # indices count from 0, and blocks are stored by rows
             37: block if block > 1 else 0,  # entries are blocks
         }.items():
@@ -206,18 +202,14 @@ class _Pardiso:
         self._data = np.ascontiguousarray(part.data, dtype=np.float64)
 
     def call(self, phase: int, rhs: FloatArray | None = None) -> FloatArray:
-        """Run one phase, on right-hand sides (n, k) if it takes any; returns (n, k), columns contiguous.
-
-        With last unknowns, phase 22 returns their Schur complement, (n_last, n_last).
-        """
+        """Run one phase, on right-hand sides (n, k) if it takes any; returns (n, k), columns contiguous."""
         b = np.zeros((self.n, 1)) if rhs is None else np.asfortranarray(rhs, dtype=np.float64)
-        x = np.zeros((self.n_last, self.n_last) if self.n_last and rhs is None else b.shape, order="F")
+        x = np.zeros(b.shape, order="F")
         if b.size == 0:
             return x
         error, blocks = ctypes.c_int32(0), len(self._indptr) - 1
         numbers = [ctypes.byref(ctypes.c_int32(i)) for i in (1, 1, self.mtype, phase, blocks, b.shape[1], 0)]
-        is_last = self._is_last.ctypes if self.n_last else None
-        entries = (self._data.ctypes, self._indptr.ctypes, self._indices.ctypes, is_last)
+        entries = (self._data.ctypes, self._indptr.ctypes, self._indices.ctypes, None)
         ends = (self.iparm.ctypes, numbers[6], b.ctypes, x.ctypes, ctypes.byref(error))
         _mkl_pardiso()(self._pt.ctypes, *numbers[:5], *entries, numbers[5], *ends)
         if error.value == -4 and self.mtype == 2:
@@ -228,13 +220,6 @@ class _Pardiso:
         if error.value:
             raise _not_factored(self.n, f"PARDISO gave error {error.value}.")
         return x
-
-    def eliminated(self, rhs: FloatArray) -> FloatArray:
-        """K_II⁻¹ b of the unknowns before the last, (n − n_last, k)."""
-        n = self.n - self.n_last
-        y = self.call(332, self.call(331, np.vstack([rhs, np.zeros((self.n_last, rhs.shape[1]))])))
-        y[n:] = 0.0
-        return self.call(333, y)[:n]
 
     @property
     def memory_gb(self) -> float:
@@ -258,25 +243,12 @@ def whole(upper: SparseMatrix) -> sp.csr_matrix:
     return (part + sp.coo_matrix(rest, shape=upper.shape)).tocsr()
 
 
-def _times(upper: SparseMatrix, x: FloatArray, lower: SparseMatrix | None = None) -> FloatArray:
-    """K x, shape (n, k), of a symmetric K given by its upper triangle, and perhaps the transpose of that."""
+def _times(upper: SparseMatrix, x: FloatArray, lower: SparseMatrix) -> FloatArray:
+    """K x, shape (n, k), of a symmetric K given by its upper triangle and the transpose of that."""
     block = upper.blocksize[0] if upper.format == "bsr" else 1
     rows = np.repeat(np.arange(len(upper.indptr) - 1), np.diff(upper.indptr))
     diagonal = upper.data.reshape(-1, block, block)[rows == upper.indices]
-    return (
-        upper @ x
-        + (upper.T if lower is None else lower) @ x
-        - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
-    )
-
-
-def _with_diagonal(upper: sp.csr_matrix) -> sp.csr_matrix:
-    """The same upper triangle with every entry on the diagonal stored, zeros too."""
-    part, each = upper.tocoo(), np.arange(upper.shape[0])
-    rows, cols = np.concatenate([part.row, each]), np.concatenate([part.col, each])
-    found = sp.csr_matrix((np.concatenate([part.data, np.zeros(len(each))]), (rows, cols)), shape=upper.shape)
-    found.sort_indices()
-    return found
+    return upper @ x + lower @ x - (diagonal @ x.reshape(len(diagonal), block, -1)).reshape(x.shape)
 
 
 @cache
@@ -368,54 +340,6 @@ def schur_product(factor: Factor, rhs: FloatArray) -> FloatArray:
             "widely."
         )
     return (product + product.T) / 2
-
-
-def schur_complement(upper: sp.csr_matrix, n_last: int, solver: str | None = None) -> tuple[FloatArray, float]:
-    """K_BB − K_BI K_II⁻¹ K_IB of a symmetric matrix on its `n_last` last unknowns B, and the residual of a check.
-
-    `upper` is the upper triangle of K, regular in the others, I. `SolverError` if the complement's product with a
-    random w is not K_BB w − K_BI x to `RESIDUAL_LIMIT`, where K_II x = K_IB w; rows are compared at equal energies, or
-    forces of 1 N would hide behind displacements of 1 mm. PARDISO stops its factorisation before B: of a cell of 37 388
-    unknowns on 3717 that took 2.4 s, where 309 combinations of these as right-hand sides took 3.0 s.
-    """
-    n = upper.shape[0] - n_last
-    across, last = upper[:n, n:], whole(upper[n:, n:])
-    w = np.random.default_rng(0).standard_normal((n_last, 1))
-    if (solver or solver_name()) == "pardiso":
-        pardiso = _Pardiso(_with_diagonal(upper), -2, n_last=n_last)
-        try:
-            pardiso.call(11)
-            _check_memory(upper.shape[0], pardiso.memory_gb)
-            complement = pardiso.call(22)
-            scale = _unit_energies(complement)
-            x = pardiso.eliminated(across @ (scale * w))
-        finally:
-            pardiso.call(-1)
-    else:
-        factor = Factor(upper[:n, :n], upper=True, solver="superlu")
-        columns = across.tocsc()
-        starts = range(0, n_last, WIDTH)
-        parts = [across.T @ factor.solve(columns[:, start : start + WIDTH].toarray()) for start in starts]
-        complement = last.toarray() - np.hstack(parts)
-        scale = _unit_energies(complement)
-        x = factor.solve(across @ (scale * w))
-    pushed = across @ (scale * w)
-    left = pushed - _times(upper[:n, :n], x)
-    expected = scale * (last @ (scale * w) - across.T @ x)
-    misfit = _relative(scale * (complement @ (scale * w)) - expected, expected)
-    residual = float(np.max([_relative(left, pushed), misfit]))
-    if not residual <= RESIDUAL_LIMIT:
-        raise SolverError(
-            f"the elimination of {n} unknowns onto {n_last} is off by {residual:.1e}, above {RESIDUAL_LIMIT:g}: the "
-            "mesh may have degenerate elements or the moduli differ too widely."
-        )
-    return (complement + complement.T) / 2, residual
-
-
-def _unit_energies(complement: FloatArray) -> FloatArray:
-    """Scales (n, 1) by which unknowns all have the same energy."""
-    energies = np.abs(np.diag(complement))
-    return (1 / np.sqrt(np.where(energies > 0, energies, 1.0)))[:, None]
 
 
 def _relative(misfit: FloatArray, rhs: FloatArray) -> FloatArray:

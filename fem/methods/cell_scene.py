@@ -13,7 +13,7 @@ from geometry.design import Pad, SensorDesign
 from geometry.layout import FloatArray, unit_centres
 
 if TYPE_CHECKING:
-    from fem.array.coupled_cells import Kinds
+    from fem.array.cell import CondensedCell
 
 SAME = 1e-9  #: relative difference of sides by which a plate is still square
 Share = tuple[int, int, float]  #: unit, the rectangle on its cell, and the share of the whole rectangle's area
@@ -98,9 +98,9 @@ def solve_by_cells(scene: Scene) -> Solution:
     forces = forces_on_cells(scene, scene.body, local).reshape(design.n_units, -1, 1)
     residuals: list[float] = []
 
-    def answer(cells: "Kinds") -> FloatArray:
+    def answer(cell: "CondensedCell") -> FloatArray:
         """Means of the probes, and the energy in a row of its own, (n_probes + 1, 3)."""
-        moved, residual = CoupledArray(cells, design.array.rows, design.array.cols).moved(forces)
+        moved, residual = CoupledArray(cell, design.array.rows, design.array.cols).moved(forces)
         residuals.append(residual)
         energy = float((moved.ravel() * forces.ravel()).sum()) / 2
         moved = moved.reshape(design.n_units, -1, 3)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array.cell import CellSides, PortModes, condense
-from fem.array.coupled_cells import CoupledArray, places
+from fem.array.cell import PortModes, condense
+from fem.array.coupled_cells import CoupledArray
 from fem.array.design_cell import grid_system
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.mirrors import QUARTER
@@ -70,31 +70,23 @@ def test_coupling_obeys_reciprocity_and_stores_energy():
     assert np.linalg.eigvalsh(matrix).min() > 0
 
 
-def test_sides_that_all_move_by_ports_are_the_condensed_cell():
-    """Two routes: elimination onto the nodes of the sides and then onto the ports, or onto the ports at once, perhaps
-    of a higher degree."""
-    found = CellSides.of(whole(), RECTANGLES).cell(3)
+def test_ports_of_a_lower_degree_are_among_those_of_a_higher_one():
+    found = condense(whole(), PortModes(HALF, HEIGHT, 4), RECTANGLES).of_degree(3)
     assert_same(found, condense(whole(), PORTS, RECTANGLES))
-    assert_same(found, condense(whole(), PortModes(HALF, HEIGHT, 4), RECTANGLES).of_degree(3))
 
 
 @pytest.mark.parametrize("size", [(1, 2), (2, 1)])
-def test_only_sides_that_cells_share_are_held_to_ports(size):
-    """Two cells of a coarse grid against one body twice as long: the error is that of the ports on their one face."""
+def test_what_ports_hold_back_falls_with_their_degree(size):
+    """Two cells of a coarse grid against one body twice as long: the energy that ports on all their sides take away."""
     across, pad = mirrored(X), RECTANGLES[:1]
     along, step = np.concatenate([across, across[1:] + 2 * HALF]), 2 * HALF * np.tile(np.array(size)[::-1] - 1, 2)
     long = grid_system((*(along if n == 2 else across for n in size[::-1]), UP), RUBBER)
     both = per_area(long, np.vstack([pad, pad + step]))
     rhs = long.rest_loads(np.einsum("kn,ij->kinj", both, np.eye(3)).reshape(6, -1, 3))
     u, _ = checked_solve(Factor(long.rest_matrix(), definite=True, upper=True), rhs)
-    energies, sides = np.diag(rhs.T @ u), CellSides.of(whole(), pad)
-    missing = []
-    for degree in (3, 5, 7):
-        own = {free: sides.cell(degree, free) for free in places(*size)}
-        found = (CoupledArray(cells, *size).influence(range(3), range(3))[0] for cells in (own, sides.cell(degree)))
-        missing.append([1 - np.diag(one.reshape(6, 6)) / energies for one in found])
-    free, held = np.moveaxis(missing, 1, 0)
-    assert (free > -1e-12).all()
-    assert (free < 0.5 * held).all()
-    assert (np.diff(free, axis=0) < 0).all()
-    assert free[-1].max() < 1e-4
+    energies, cell = np.diag(rhs.T @ u), condense(whole(), PortModes(HALF, HEIGHT, 7), pad)
+    found = [CoupledArray(cell.of_degree(n), *size).influence(range(3), range(3))[0].reshape(6, 6) for n in (3, 5, 7)]
+    missing = np.array([1 - np.diag(one) / energies for one in found])
+    assert (missing > -1e-12).all()
+    assert (np.diff(missing, axis=0) < 0).all()
+    assert missing[-1].max() < 1e-4
