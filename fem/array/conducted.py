@@ -40,7 +40,7 @@ def displacement_gradients(interior: CellInterior, points_mm: FloatArray, amplit
     `amplitudes` has k columns of the cell's first amplitudes: of its ports, and perhaps of its first rectangle.
     """
     moved = interior.field.displacement_mm[:, :, : len(amplitudes)] @ amplitudes
-    slopes = interior.field.slopes(points_mm) @ moved.reshape(len(moved), -1)
+    slopes = interior.field.slopes_at(points_mm) @ moved.reshape(len(moved), -1)
     return np.asarray(slopes).reshape(3, len(points_mm), 3, -1).transpose(1, 2, 0, 3)
 
 
@@ -196,7 +196,7 @@ def _first_derivatives(
     for conductor in (conductors.coarse, conductors.fine):
         at_rest = pillars_per_mm(conductor.conductances(), conductor.mesh.pairs)
         weights = strain_derivatives(conductor, piezo) / at_rest[:, None, None, None]
-        slopes = interior.field.slopes(conductor.mesh.points_mm)
+        slopes = interior.field.slopes_at(conductor.mesh.points_mm)
         nodal = [slopes.T @ np.concatenate(np.moveaxis(weight, 2, 0)) for weight in weights]  # (n_nodes, 3) each
         found.append(np.array([np.tensordot(part, interior.field.displacement_mm[:, :, :n], 2) for part in nodal]))
     return conductors.extrapolated(*found)

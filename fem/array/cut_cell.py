@@ -3,14 +3,14 @@
 Boxes cost an eighth of tetrahedra where they are accurate enough (`fem.kernel.kinks`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from fem.array.cell import CondensedCell, condense
-from fem.array.design_cell import WEIGHTS, Asked, DesignCell, Difference, RefinedCell, Stage, functionals
+from fem.array.design_cell import WEIGHTS, Asked, DesignCell, Difference, RefinedCell, Stage
 from fem.kernel.elements import Basis, hexahedra
 from fem.kernel.kinks import KinkedRubber
 from fem.kernel.mixed import ORDER
@@ -20,7 +20,7 @@ from fem.meshes.grid import Grid
 from fem.meshes.lines import Attractor, graded_lines
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
-from geometry.prism import unit_prisms
+from geometry.prism import Prism, unit_prisms
 
 #: of pillars stiffer and softer than the matrix: of the first, level 3 would cost as much as tetrahedra
 STAGES: tuple[tuple[Stage, ...], ...] = (((1, 2, 6),), ((1, 2, 7), (2, 3, 7)))
@@ -38,13 +38,13 @@ Z_LINES, CROWDING = 3, 0.09  #: boxes along z at level 1, and how far they crowd
 MIN_TOLERANCE, CONTRASTS = 5e-3, (0.24, 15.0)
 
 
-def cut_lines(design: SensorDesign, level: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def cut_lines(design: SensorDesign, pillars: Sequence[Prism], level: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Lines between the boxes of a whole cell with a soft pad along x, y and z; upright faces of pillars are lines."""
     half, height = design.array.pitch_mm / 2, design.unit.height_mm
     length, weights = min(height, design.pad.size_mm), WEIGHTS["soft"]
-    pillars, across = unit_prisms(design.unit), list[FloatArray]()
-    for axis in (0, 1):
-        pad, stops = functionals(design)[0, axis::2], [0.0, -half, half]
+    across = list[FloatArray]()
+    for axis, offset in enumerate((design.pad.offset_x_mm, design.pad.offset_y_mm)):
+        pad, stops = offset + np.array([-1, 1]) * design.pad.size_mm / 2, [0.0, -half, half]
         upright = [one for one in pillars if one.lean[axis] == 0]
         faces = np.array([one.base_mm[axis] + side * one.section_mm[axis] / 2 for one in upright for side in (-1, 1)])
         for place in (*pad, *faces, *-faces):
@@ -61,9 +61,9 @@ def cut_lines(design: SensorDesign, level: int) -> tuple[FloatArray, FloatArray,
 def cut_system(design: SensorDesign, level: int) -> System:
     """The whole cell of two rubbers with a soft pad, on boxes that leaning pillars cut."""
     element, pressure = hexahedra(ORDER)
-    rubbers = design.matrix_material, design.pillar_material
-    basis = Basis(Grid(cut_lines(design, level)).mesh, element)
-    return System(KinkedRubber(basis, pressure, rubbers, unit_prisms(design.unit)))
+    rubbers, pillars = (design.matrix_material, design.pillar_material), unit_prisms(design.unit)
+    basis = Basis(Grid(cut_lines(design, pillars, level)).mesh, element)
+    return System(KinkedRubber(basis, pressure, rubbers, pillars))
 
 
 def _contrast(design: SensorDesign) -> float:
@@ -81,10 +81,11 @@ def why_tetrahedra(design: SensorDesign, tolerance: float) -> str | None:
         return f"boxes are for tolerances from {MIN_TOLERANCE:g}"
     if design.pad.kind == "stiff":
         return "boxes are for soft pads"
-    if any(prism.is_round or prism.is_turned for prism in unit_prisms(design.unit)):
+    pillars = unit_prisms(design.unit)
+    if any(prism.is_round or prism.is_turned for prism in pillars):
         return "boxes are for square pillars that lean along x or y"
-    lines = cut_lines(design, STAGES[contrast < 1][0][1])
-    for prism, axis in product(unit_prisms(design.unit), (0, 1)):
+    lines = cut_lines(design, pillars, STAGES[contrast < 1][0][1])
+    for prism, axis in product(pillars, (0, 1)):
         low, high = sorted((prism.base_mm[axis], prism.top_mm[axis]))
         crossed = (lines[axis][1:] > low) & (lines[axis][:-1] < high)
         if prism.lean[axis] and np.diff(lines[axis])[crossed].max() > prism.section_mm[axis] * (1 + 1e-9):
@@ -95,8 +96,8 @@ def why_tetrahedra(design: SensorDesign, tolerance: float) -> str | None:
 class CutCell(DesignCell):
     """The cell of two rubbers on boxes, at levels of refinement."""
 
-    def __init__(self, design: SensorDesign, rectangles_mm: FloatArray | None = None) -> None:
-        super().__init__(design, rectangles_mm)
+    def __init__(self, design: SensorDesign) -> None:
+        super().__init__(design)
         self.is_grid = True
 
     def _condensed(self, level: int, degree: int) -> CondensedCell:
@@ -119,25 +120,23 @@ def refine(
     answer: Asked,
     difference: Difference,
     progress: Callable[[str], None] = lambda step: None,
-    rectangles_mm: FloatArray | None = None,
     from_cad: bool = False,
 ) -> tuple[RefinedCell, FloatArray]:
     """The cell of a design, of the elements that suit it, refined to a tolerance, and the answer by it.
 
     Parameters are those of `DesignCell` and of its `refined`. Of two rubbers the steps say which elements and why.
     """
-    cell = DesignCell(design, rectangles_mm, from_cad=from_cad)
-    if cell.is_grid or from_cad:
-        return cell.refined(tolerance, answer, difference, progress)
+    if design.is_homogeneous or from_cad:
+        return DesignCell(design, from_cad=from_cad).refined(tolerance, answer, difference, progress)
     steps: tuple[str, ...] = ()
     spent: dict[str, float] = {}
     why = why_tetrahedra(design, tolerance)
     if why is None:
-        found, answered = CutCell(design, rectangles_mm).refined(tolerance, answer, difference, progress)
+        found, answered = CutCell(design).refined(tolerance, answer, difference, progress)
         steps = ("boxes that pillars cut, much cheaper than tetrahedra", *found.steps)
         if found.error_estimate <= tolerance:
             return replace(found, steps=steps), answered
         why, spent = "boxes miss the tolerance", found.seconds
-    found, answered = cell.refined(tolerance, answer, difference, progress)
+    found, answered = DesignCell(design).refined(tolerance, answer, difference, progress)
     seconds = {step: time + spent.get(step, 0.0) for step, time in found.seconds.items()}
     return replace(found, steps=(*steps, f"tetrahedra: {why}", *found.steps), seconds=seconds), answered

@@ -199,8 +199,8 @@ class DesignCell:
         has_plate: bool = True,
         resolved_mm: FloatArray | None = None,
     ) -> None:
-        self.design, self.from_cad = at_rest(design), from_cad
         self.squares, self.resolved = functionals(design), resolved_mm
+        self.design, self.from_cad = at_rest(design), from_cad
         self.rectangles = self.squares if rectangles_mm is None else rectangles_mm
         self.plate = self.squares[0] if has_plate and design.pad.kind == "stiff" else None
         self.is_grid = design.is_homogeneous and not from_cad

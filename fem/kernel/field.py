@@ -63,7 +63,7 @@ class Field:
         rows = rows_at(self.body, *self._located(points_mm, region))
         return np.asarray(rows @ u.reshape(len(u), -1)).reshape(-1, *u.shape[1:])
 
-    def slopes(self, points_mm: FloatArray) -> sp.csr_matrix:
+    def slopes_at(self, points_mm: FloatArray) -> sp.csr_matrix:
         """Rows (3 k, n_nodes) of `slopes_at` at points (k, 3) of the body."""
         return slopes_at(self.body, *self.places.located(points_mm))
 

@@ -73,7 +73,7 @@ def deformed(kind: str, traction_mpa: Triple) -> Deformed:
     ends = ((-reach, reach), (-reach, reach), (VOXEL_MM, height - VOXEL_MM))  # plates' edges have no strain
     lines = tuple(np.linspace(low, high, 1 + round((high - low) / VOXEL_MM)) for low, high in ends)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    F = np.eye(3) + gradients(field.slopes(places.reshape(-1, 3)), field.displacement_mm[None])[0]
+    F = np.eye(3) + gradients(field.slopes_at(places.reshape(-1, 3)), field.displacement_mm[None])[0]
     moved = np.array([found.probes[name] for name in unit.layout.upper_names])
     return Deformed(lines, F.reshape(*places.shape, 3), pillar_lengths(moved, unit))
 

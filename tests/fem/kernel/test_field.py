@@ -64,7 +64,7 @@ def test_quadratic_displacements_are_given_back_with_their_slopes(kind):
     zero, one = np.zeros_like(x), np.ones_like(x)
     slopes = np.array([[y, -one, zero], [x, zero, z], [zero, 2 * z, y]]).swapaxes(1, 2)  # axis, point, component
     assert np.allclose(field.displacement_at(points), curved(points), rtol=0, atol=1e-10)
-    found = field.slopes(points) @ field.displacement_mm
+    found = field.slopes_at(points) @ field.displacement_mm
     assert np.allclose(found.reshape(slopes.shape), slopes, atol=1e-9)
 
 
