@@ -1,7 +1,7 @@
 """Element stiffness summed into a sparse matrix of 3 × 3 blocks, with plates as part of the map x = T y.
 
-A node that is bonded to a plate shares the block of the plate's shift; what it turns with the plate's spin is a product
-with the stiffness of the few elements that have such nodes. Elements add Tᵀ K T.
+Nodes of an element that are bonded to a plate move with the two blocks of that plate, its shift and its spin: elements
+K with such nodes add Wᵀ K W instead, W being their rows of T.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,74 +16,63 @@ from geometry.layout import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Ties:
-    """Pairs of an element and a plate that binds some of its n nodes, t of them; and pairs of these in one element."""
+class Bonded:
+    """Elements of n nodes some of which plates bind, at most p plates each; t of them."""
 
     element: IntArray  #: (t,)
-    spin: IntArray  #: block of the plate's spin, (t,)
-    bond: IntArray  #: number of each node among the bonded ones, −1 of what this plate does not bind, (t, n)
-    pairs: IntArray  #: two ties of one element, the second's spin not before the first's, (p, 2)
+    blocks: IntArray  #: of unknowns, −1 of none: of the free nodes, the plates' shifts and their spins, (t, n + 2 p)
+    bond: IntArray  #: number of each node among the bonded ones, −1 of a free one, (t, n)
+    slot: IntArray  #: which of its element's plates binds it, (t, n)
 
     @classmethod
-    def of(cls, nodes: IntArray, plates: Plates, n_nodes: int, first: int) -> "Ties":
-        """The ties of elements of nodes (e, n); `first` is the block of the first plate's spin."""
-        bond = np.full(n_nodes, -1, dtype=np.int64)
-        bond[plates.node] = np.arange(len(plates.node))
-        own = bond[nodes]
-        element, local = np.nonzero(own >= 0)
-        keys = np.unique(element * max(plates.count, 1) + plates.plate[own[element, local]])
-        element, plate = np.divmod(keys, max(plates.count, 1))
-        bonds = own[element]
-        bonds = np.where((bonds >= 0) & (plates.plate[bonds] == plate[:, None]), bonds, -1) if len(bonds) else bonds
-        count = len(element)
-        pairs = [np.column_stack([np.arange(count), np.arange(count)])]
-        for step in range(1, plates.count):  # ties of one element follow each other
-            one = np.flatnonzero(element[step:] == element[: count - step]) if count > step else np.zeros(0, int)
-            pairs.append(np.column_stack([one, one + step]))
-            if not len(one):
-                break
-        return cls(element, first + plate, bonds, np.concatenate(pairs))
+    def of(cls, nodes: IntArray, number: IntArray, plates: Plates) -> "Bonded":
+        """Those of elements of nodes (e, n); `number` (n_nodes,) is the block of every free node."""
+        bonds = np.full(len(number), -1, dtype=np.int64)
+        bonds[plates.node] = np.arange(len(plates.node))
+        element = np.flatnonzero((bonds[nodes] >= 0).any(axis=1))
+        bond = bonds[nodes[element]]
+        plate = np.append(plates.plate, -1)[bond]
+        binds = (plate[..., None] == np.arange(plates.count)).any(axis=1)  # (t, count)
+        place = np.cumsum(binds, axis=1) - 1
+        slot = np.take_along_axis(place, np.maximum(plate, 0), axis=1) if len(element) else plate
+        owner, bound = np.nonzero(binds)
+        held = np.full((len(element), int(binds.sum(axis=1).max(initial=0))), -1, dtype=np.int64)
+        held[owner, place[owner, bound]] = bound
+        first = int(number.max(initial=-1)) + 1
+        moved = [np.where(held < 0, -1, first + held), np.where(held < 0, -1, first + plates.count + held)]
+        return cls(element, np.hstack([number[nodes[element]], *moved]), bond, slot)
 
-    def turns(self, spins: FloatArray) -> FloatArray:
-        """Displacement of the ties' nodes by the spins, (t, n, 3, 3), from that of the bonded ones (n_bonded, 3, 3)."""
-        if not len(self.bond):
-            return np.zeros((0, self.bond.shape[1], 3, 3))
-        return spins[self.bond] * (self.bond >= 0)[..., None, None]
+    def maps(self, spins: FloatArray) -> FloatArray:
+        """W of every element, (t, 3 n, 3 (n + 2 p)), by displacements of the bonded nodes by spins (n_bonded, 3, 3)."""
+        (t, n), k = self.bond.shape, self.blocks.shape[1]
+        W, every = np.zeros((t, n, 3, k, 3)), np.arange(n)
+        W[:, every, :, every] = (self.bond < 0).T[..., None, None] * np.eye(3)
+        element, node = np.nonzero(self.bond >= 0)
+        shift = n + self.slot[element, node]
+        W[element, node, :, shift] = np.eye(3)
+        W[element, node, :, shift + (k - n) // 2] = spins[self.bond[element, node]]
+        return W.reshape(t, 3 * n, 3 * k)
 
-    def spun(self, values: FloatArray, spins: FloatArray) -> FloatArray:
-        """Zᵀ v (t, 3, k) of values (n_elements, n, 3, k), Z what the spins do to an element's nodes."""
-        return np.einsum("tnis,tnik->tsk", self.turns(spins), values[self.element])
+    def stiffness(self, K: FloatArray, spins: FloatArray) -> FloatArray:
+        """Wᵀ K W (t, n + 2 p, n + 2 p, 3, 3) of these among elements K (e, n, n, 3, 3)."""
+        W, (t, n) = self.maps(spins), self.bond.shape
+        flat = K[self.element].swapaxes(2, 3).reshape(t, 3 * n, 3 * n)
+        k = self.blocks.shape[1]
+        return (W.swapaxes(1, 2) @ flat @ W).reshape(t, k, 3, k, 3).swapaxes(2, 3)
 
 
 class Assembly:
     """A sparse matrix of n × n blocks, its pattern found once and filled with any values.
 
-    `number` (n_nodes,) is the block of every node, −1 of none. Elements come in chunks, each of nodes (e, k) and the
-    ties of its elements. A symmetric one keeps the blocks of the upper triangle only. `more` are rows and columns of
-    further blocks, −1 for none; see `add`.
+    Elements come in pieces, each of the blocks of its unknowns (e, k), −1 of none. A symmetric one keeps the blocks of
+    the upper triangle only. `more` are rows and columns of further blocks, −1 for none; see `add`.
     """
 
     def __init__(
-        self,
-        number: IntArray,
-        chunks: Sequence[tuple[IntArray, Ties]],
-        n: int,
-        symmetric: bool,
-        more: Sequence[tuple[IntArray, IntArray]] = (),
+        self, n: int, pieces: Sequence[IntArray], symmetric: bool, more: Sequence[tuple[IntArray, IntArray]] = ()
     ) -> None:
-        self.n, self.symmetric, self._ties = n, symmetric, [ties for _, ties in chunks]
-        placed = []
-        for nodes, ties in chunks:
-            own, spin, (one, other) = number[nodes], ties.spin[:, None], ties.pairs.T
-            placed += [
-                (own[:, :, None], own[:, None, :]),
-                (own[ties.element], spin),
-                (ties.spin[one], ties.spin[other]),
-            ]
-            if not symmetric:
-                apart = one != other
-                placed += [(spin, own[ties.element]), (ties.spin[other[apart]], ties.spin[one[apart]])]
-        self._n_own = len(placed)
+        self.n, self.symmetric, self._n_own = n, symmetric, len(pieces)
+        placed = [(own[:, :, None], own[:, None, :]) for own in pieces]
         kept = [self._kept(rows, cols) for rows, cols in (*placed, *more)]
         keys = np.sort(np.concatenate([keys for *_, keys in kept]))
         self._keys = keys[np.diff(keys, prepend=-1) > 0]  # faster than `np.unique`
@@ -107,24 +96,11 @@ class Assembly:
         table = np.ones(len(number)), number[order], np.append(first, len(number))
         return place[order[first]], sp.csr_matrix(table, shape=(len(first), count))
 
-    def sum(self, blocks: Iterable[FloatArray], spins: FloatArray) -> FloatArray:
-        """Blocks (n_entries, 3, 3) of the matrix of the chunks' stiffness, each (e, k, k, 3, 3).
-
-        `spins` (n_bonded, 3, 3) are displacements of each bonded node by the spin of its plate.
-        """
-        data, number = np.zeros((len(self._keys), 9)), 0
-        for K, ties in zip(blocks, self._ties, strict=True):
-            Z, (one, other) = ties.turns(spins), ties.pairs.T
-            t, n = ties.bond.shape
-            flat = K[ties.element].swapaxes(2, 3).reshape(t, 3 * n, 3 * n)
-            KZ = (flat @ Z.reshape(t, 3 * n, 3)).reshape(t, n, 3, 3)
-            ZKZ = np.einsum("pnis,pnit->pst", Z[one], KZ[other])
-            parts = [K, KZ, ZKZ]
-            if not self.symmetric:
-                parts += [KZ.swapaxes(2, 3), ZKZ[one != other].swapaxes(1, 2)]
-            for part in parts:
-                self._add(data, number, part)
-                number += 1
+    def sum(self, blocks: Iterable[FloatArray]) -> FloatArray:
+        """Blocks (n_entries, 3, 3) of the matrix of the pieces' stiffness, each (e, k, k, 3, 3)."""
+        data = np.zeros((len(self._keys), 9))
+        for number, K in enumerate(blocks):
+            self._add(data, number, K)
         return data.reshape(-1, 3, 3)
 
     def _add(self, data: FloatArray, number: int, blocks: FloatArray) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fem.kernel.assembly import Assembly, Ties
+from fem.kernel.assembly import Assembly, Bonded
 from fem.kernel.factor import Factor, SparseMatrix
 from fem.kernel.loads import Load, StiffLoad, at_rest, folded_loads
 from fem.kernel.mirrors import Mirror, Parity, parities, vanishing_components
@@ -309,18 +309,24 @@ class System:
     @cached_property
     def assembly(self) -> Assembly:
         """Where element stiffness goes in the matrix of the unknowns."""
-        body, plates, n = self.body, self.plates, len(self.free)
-        number = self.number.copy()
-        number[plates.node] = n + plates.plate
-        spins = n + plates.count + np.arange(plates.count)
+        spins = len(self.free) + self.plates.count + np.arange(self.plates.count)
         faces = [self.number[own] for own in self.pressures.nodes]
         more = [(spins, spins), *((own[:, :, None], own[:, None, :]) for own in faces)]
-        chunks = [(own, self._ties(own)) for _, own, _ in body.chunks]
-        return Assembly(number, chunks, self.n_blocks, self.symmetric, more)
+        pieces = list[IntArray]()
+        for (_, nodes, _), bonded in zip(self.body.chunks, self._bonded, strict=True):
+            pieces += [self._unbonded(nodes, bonded), bonded.blocks]
+        return Assembly(self.n_blocks, pieces, self.symmetric, more)
 
-    def _ties(self, nodes: IntArray) -> Ties:
-        """Ties of elements of nodes (e, n) to the plates."""
-        return Ties.of(nodes, self.plates, self.body.n_nodes, first=len(self.free) + self.plates.count)
+    @cached_property
+    def _bonded(self) -> list[Bonded]:
+        """Elements of each of the body's chunks that plates bind."""
+        return [Bonded.of(nodes, self.number, self.plates) for _, nodes, _ in self.body.chunks]
+
+    def _unbonded(self, nodes: IntArray, bonded: Bonded) -> IntArray:
+        """Blocks of the unknowns of elements of nodes (e, n), −1 of those that plates bind."""
+        own = self.number[nodes]
+        own[bonded.element] = -1
+        return own
 
     def tangent(self, state: State, load_factor: float, reactions: FloatArray) -> tuple[SparseMatrix, Tangent]:
         """The linearised equations at a state and a fraction of the full load, and the elements'.
@@ -335,13 +341,20 @@ class System:
         self, blocks: Iterable[FloatArray], state: State, load_factor: float, reactions: FloatArray
     ) -> FloatArray:
         """Blocks of the tangent in `assembly` of the elements', with what plates and following pressures add."""
-        data = self.assembly.sum(blocks, self.plates.spins(state.rotation))
+        data = self.assembly.sum(self._on_unknowns(blocks, state.rotation))
         if self.plates.count:
             self.assembly.add(data, 0, self._turning(state, reactions))
         if self.pressures.parts:
             for number, own in enumerate(self.pressures.stiffness(self.points_mm + state.u), start=1):
                 self.assembly.add(data, number, -load_factor * own)
         return data
+
+    def _on_unknowns(self, blocks: Iterable[FloatArray], rotation: FloatArray) -> Iterator[FloatArray]:
+        """Stiffness of the pieces of `assembly` by that of the body's chunks."""
+        spins = self.plates.spins(rotation)
+        for K, bonded in zip(blocks, self._bonded, strict=True):
+            yield K
+            yield bonded.stiffness(K, spins)
 
     def _turning(self, state: State, reactions: FloatArray) -> FloatArray:
         """The tangent of the plates' spins by their turning arms, (k, 3, 3) [N/mm]; `reactions` are of `Misfit`."""
@@ -355,7 +368,7 @@ class System:
         blocks: Iterator[FloatArray] = self.body.rest_blocks()
         if self.body.is_mixed:  # its forces of pressures are wanted, too
             blocks = self.body.rest.blocks()
-        return self.assembly.sum(blocks, self.plates.spins(self.rest().rotation))
+        return self.assembly.sum(self._on_unknowns(blocks, self.rest().rotation))
 
     def rest_matrix(self, parity: Parity | None = None) -> SparseMatrix:
         """The upper triangle of the equations at rest, for fields of a parity."""
@@ -384,20 +397,17 @@ class System:
 
     def _coupling(self, pressing: FloatArray, rotation: FloatArray) -> sp.csr_matrix:
         """∫ q c of continuous pressures and of the unknowns, (n_mixed, 3 n_blocks); entries of 0 stay."""
-        body, ties = self.body, self._ties(self.body.nodes)
-        e, m, k = pressing.shape
-        number = self.number.copy()
-        number[self.plates.node] = len(self.free) + self.plates.plate
-        blocks = number[body.nodes]
-        cols = np.where(blocks[..., None] < 0, -1, 3 * blocks[..., None] + np.arange(3)).reshape(e, m)
-        spun = ties.spun(pressing.reshape(e, m // 3, 3, k), self.plates.spins(rotation))  # (t, 3, k)
-        rows = [np.broadcast_to(body.pressure_dofs[:, None], pressing.shape)]
-        rows.append(np.broadcast_to(body.pressure_dofs[ties.element][:, None], spun.shape))
-        columns = [np.broadcast_to(cols[..., None], pressing.shape)]
-        columns.append(np.broadcast_to((3 * ties.spin[:, None] + np.arange(3))[..., None], spun.shape))
-        row, column, value = (
-            np.concatenate([part.ravel() for part in parts]) for parts in (rows, columns, [pressing, spun])
-        )
+        nodes, dofs = self.body.nodes, self.body.pressure_dofs
+        bonded = Bonded.of(nodes, self.number, self.plates)
+        moved = bonded.maps(self.plates.spins(rotation)).swapaxes(1, 2) @ pressing[bonded.element]
+        entries = []
+        for own, blocks, values in (
+            (dofs, self._unbonded(nodes, bonded), pressing),
+            (dofs[bonded.element], bonded.blocks, moved),
+        ):
+            columns = np.where(blocks[..., None] < 0, -1, 3 * blocks[..., None] + np.arange(3))
+            entries.append(np.broadcast_arrays(own[:, None], columns.reshape(*values.shape[:2], 1), values))
+        row, column, value = (np.concatenate([part.ravel() for part in parts]) for parts in zip(*entries, strict=True))
         kept = column >= 0
         shape = (self.n_mixed, 3 * self.n_blocks)
         return sp.csr_matrix((value[kept], (row[kept], column[kept])), shape=shape)
