@@ -75,11 +75,10 @@ MESH_LIMITS = (2e-2, 4e-3, 2e-3)  #: tolerances below which tetrahedra begin wit
 EXTRAPOLATION_ERROR = {"soft": 0.6, "stiff": 0.41}
 COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarsest grid knows no more
 #: with pillars of another rubber: the error over the extrapolation's step, and what the ports leave over what their two
-#: highest degrees changed. So under soft pads the estimates are 1.07 to 7.9 times the error of 126 answers (1 × 1 to
-#: 3 × 3 units, loads with and without shear, near and far electrodes; pillars 4 times as stiff as the matrix and 20
-#: times as soft), half of them below 2.6, and 1.7 to 4.2 on 2 × 2 units with pillars 3 times as stiff and 8 times as
-#: soft. Under stiff pads they are 1.8 to 9 times the error of responses on three designs (pillars 1/3, 4 and 8 times as
-#: stiff), 0.8 to 11 times that of loaded units, and 0.6 to 5 times that of far electrodes that move a hundredth as far
+#: highest degrees changed. So the estimates are 2.3 to 3.8 times the error of lone units under soft pads (pillars 6 and
+#: 120 times as stiff as the matrix and 20 times as soft), all of whose sides are free, and 1.5 times that under a stiff
+#: pad (6 times as stiff), by meshes of levels 4 and 3 on which sides moved as their nodes do. Ports hold free sides
+#: back: at degree 6 by 0.13 to 0.18 % of a lone unit's answer, at degree 8 by 0.07 to 0.08 %
 MESH_EXTRAPOLATION_ERROR, MESH_PORTS = 0.8, 1.0
 PADS = range(3)  #: numbers of a cell's functionals that are forces on its pad
 MAX_TESTED = 3  #: rows and columns of the array on which a cell is judged, at most: it has every neighbourhood
