@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.errors import DesignError, FileFormatError, GeometryError
-from common.quantity import Sound, positive
+from common.errors import FileFormatError, GeometryError
 from common.storage.cache import kept
 from common.storage.files import digest, scratch, vtk_content, write_bytes
 from common.storage.seal import BLANK, require_intact, sealed
@@ -32,38 +31,15 @@ if TYPE_CHECKING:
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
 METHOD = 4  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
-PILLARS_TOLERANCE = 2e-3  #: of their volume, relative; beyond, a mesh is refused: wedges between them are not put back
+#: of their volume, relative; beyond, a mesh is made again, and the last one refused: all faces of square pillars that
+#: lean along x or y are put back, but not the wedges between round or turned ones
+PILLARS_TOLERANCE, WEDGES_TOLERANCE = 1e-4, 2e-3
+#: wanted edge lengths of the paper's sensor at its touched surface, where loads begin and end, and at its clamped base,
+#: and how far the mesher may move a surface: half of that takes up to 10 times as long; in mm and never shares of the
+#: bounding box, so that they mean the same in any array
+EDGE_TOP_MM, EDGE_BASE_MM, ENVELOPE_MM, PITCH_MM = 1.25, 5.0, 0.04, 15.0
+MAX_ENVELOPE = 0.1  #: of the edges at the top: more, and surfaces lose shape
 GRADING = 0.6  #: exponent of the depth with which a sensor's edges grow from top to base
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshSettings(Sound):
-    """Edge lengths of a sensor's mesh, in mm and never shares of the bounding box: they mean the same in any array."""
-
-    edge_top_mm: float = positive(1.25, "wanted edge length at the touched surface, where loads begin and end")
-    edge_base_mm: float = positive(5.0, "wanted edge length at the clamped base")
-    envelope_mm: float = positive(
-        0.04, "how far the mesher may move a surface; half of it takes up to 10 times as long"
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.envelope_mm > 0.1 * min(self.edge_top_mm, self.edge_base_mm):
-            raise DesignError(
-                f"envelope_mm={self.envelope_mm:g} must be at most a tenth of the edges "
-                f"({self.edge_top_mm:g} and {self.edge_base_mm:g} mm), or surfaces lose shape: lower it."
-            )
-
-    def finer(self, level: float) -> "MeshSettings":
-        """The same with all edges divided by a level."""
-        top_mm, base_mm = self.edge_top_mm / level, self.edge_base_mm / level
-        return MeshSettings(edge_top_mm=top_mm, edge_base_mm=base_mm, envelope_mm=min(self.envelope_mm, 0.1 * top_mm))
-
-
-def suited_settings(design: SensorDesign) -> MeshSettings:
-    """Mesh settings for a sensor: the defaults, which suit the paper's, scaled down with the pitch for smaller ones."""
-    usual, scale = MeshSettings(), min(1.0, design.array.pitch_mm / 15.0)
-    return replace(usual.finer(1 / scale), envelope_mm=usual.envelope_mm * scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,21 +76,33 @@ class MeshTask:
     envelope_mm: float  #: how far the mesher may move a surface at the first attempt
 
 
-def mesh_cache_key(design: SensorDesign, settings: MeshSettings) -> str:
+def edges_mm(design: SensorDesign, level: float = 1.0) -> tuple[float, float, float]:
+    """Edge lengths at top and base, and the mesher's envelope, of a sensor [mm]; edges are divided by a level.
+
+    Those of the paper's, scaled down with the pitch for smaller ones.
+    """
+    scale = min(1.0, design.array.pitch_mm / PITCH_MM)
+    top_mm = EDGE_TOP_MM * scale / level
+    return top_mm, EDGE_BASE_MM * scale / level, min(ENVELOPE_MM * scale, MAX_ENVELOPE * top_mm)
+
+
+def mesh_cache_key(design: SensorDesign, level: float = 1.0) -> str:
     """Hash of all that a sensor's mesh depends on, but for the mesher's own chance."""
     plates = [design.pad] if design.pad.kind == "stiff" else []
     is_round = any(one.is_round for one in design.unit.layout.pillars)
     sides = [MESHED_SIDES] if is_round and not design.is_homogeneous else []
-    return digest("mesh", METHOD, design.unit, design.array, design.is_homogeneous, settings, *plates, *sides)
+    return digest(
+        "mesh", METHOD, design.unit, design.array, design.is_homogeneous, edges_mm(design, level), *plates, *sides
+    )
 
 
-def sensor_mesh(design: SensorDesign, settings: MeshSettings, needed: bool = False) -> tuple[TetMesh, Path, bool]:
-    """Mesh of a sensor, from the cache if it is there; returns and further errors as of `kept`.
+def sensor_mesh(design: SensorDesign, level: float = 1.0, needed: bool = False) -> tuple[TetMesh, Path, bool]:
+    """Mesh of a sensor of the edges of a level, from the cache if it is there; returns and further errors as of `kept`.
 
     Pillars get a region of their own only where their rubber differs from the matrix. `GeometryError` if a surface
-    leaks, or a region's volume is more than 0.2 % from the CAD's.
+    leaks, or a region's volume is further from the CAD's than 0.01 %, with round or turned pillars 0.2 %.
     """
-    return cached_mesh(mesh_cache_key(design, settings), lambda: _sensor_task(design, settings), needed)
+    return cached_mesh(mesh_cache_key(design, level), lambda: _sensor_task(design, level), needed)
 
 
 def cached_mesh(cache_key: str, task: Callable[[], MeshTask], needed: bool = False) -> tuple[TetMesh, Path, bool]:
@@ -126,7 +114,7 @@ def cached_mesh(cache_key: str, task: Callable[[], MeshTask], needed: bool = Fal
     return kept("mesh.vtu", cache_key, make, read_mesh, write_mesh, needed)
 
 
-def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
+def _sensor_task(design: SensorDesign, level: float) -> MeshTask:
     """A sensor's slab and pillars as CAD solids, checked, with edges that grow with the depth."""
     # build123d takes seconds to load: only when a mesh is made
     from skfem import MeshTet
@@ -134,7 +122,8 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     from geometry.cad import array_solid, slab_solid
     from geometry.surface import surface_from_solid
 
-    thinnest_mm = 20 * settings.envelope_mm  # below, the mesher would dissolve a pillar or never end
+    edge_top_mm, edge_base_mm, envelope_mm = edges_mm(design, level)
+    thinnest_mm = 20 * envelope_mm  # below, the mesher would dissolve a pillar or never end
     sizes = (
         ("pillar_width_mm", min(pillar_widths(design.unit.body)), "; or give pillars and matrix one material"),
         ("height_mm", design.unit.height_mm, ""),
@@ -142,7 +131,7 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
     for name, size_mm, mend in sizes:
         if size_mm < thinnest_mm and not (mend and design.is_homogeneous):
             raise GeometryError(
-                f"{name}={size_mm:g} is too thin to be meshed with surfaces that may move by {settings.envelope_mm:g} "
+                f"{name}={size_mm:g} is too thin to be meshed with surfaces that may move by {envelope_mm:g} "
                 f"mm: at least {thinnest_mm:.2g} at pitch_mm={design.array.pitch_mm:g}{mend}."
             )
 
@@ -154,7 +143,7 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
         check_surface(surface, solids[name].volume, name)
 
     pillars = [] if design.is_homogeneous else pillar_prisms(design)
-    under_plates = pad_prisms(design, settings.edge_top_mm) if design.pad.kind == "stiff" else []
+    under_plates = pad_prisms(design, edge_top_mm) if design.pad.kind == "stiff" else []
     # wanted edge lengths live on a coarse background mesh, a little larger than the body, in layers of a tenth
     x, y, h = design.slab_mm
     sides = (np.array([-side / 2 - 1.0, side / 2 + 1.0]) for side in (x, y))
@@ -167,10 +156,12 @@ def _sensor_task(design: SensorDesign, settings: MeshSettings) -> MeshTask:
         outlined=len(under_plates),
         surfaces=[*surfaces.values(), *(prism_surface(prism) for prism in under_plates)],
         volumes_mm3={"the pillars": (1, solids["array"].volume)} if pillars else {},
-        volume_tolerance=PILLARS_TOLERANCE,
+        volume_tolerance=WEDGES_TOLERANCE
+        if any(one.is_round or one.is_turned for one in pillars)
+        else PILLARS_TOLERANCE,
         background=background,
-        edge_mm=settings.edge_top_mm + (settings.edge_base_mm - settings.edge_top_mm) * depth**GRADING,
-        envelope_mm=settings.envelope_mm,
+        edge_mm=edge_top_mm + (edge_base_mm - edge_top_mm) * depth**GRADING,
+        envelope_mm=envelope_mm,
     )
 
 

@@ -31,7 +31,7 @@ from fem.scene.solution import Stopwatch
 from fem.scene.tetrahedra import AdaptedTetrahedra
 from geometry.design import Material, SensorDesign, at_rest, lone_unit
 from geometry.layout import FloatArray, electrode_squares, pad_squares
-from geometry.mesh import sensor_mesh, suited_settings
+from geometry.mesh import sensor_mesh
 
 
 class Weights(NamedTuple):
@@ -52,7 +52,7 @@ WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 
 #: degree 8 it changes a contact's forces at a rim by 0.2 %
 GRID_LEVEL, GRID_DEGREE = 2, 6
 MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
-CAD_LEVEL = 0.5  #: edges of the coarsest mesh of CAD solids, relative to `suited_settings`: half as fine
+CAD_LEVEL = 0.5  #: of the coarsest mesh of CAD solids: edges twice as long as of a mesh to look at
 PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direction
 #: convergence that is reckoned with: of grids as level^(−rate); of tetrahedra as unknowns^(−rate), 0.9 to 1.6 being
 #: measured under soft pads and 0.5 to 0.6 under stiff ones, whose edges are more singular
@@ -219,7 +219,7 @@ class DesignCell:
         regions = [region for region in scene.regions if region[1] != scene.material]
         mesh = None
         if self.from_cad:
-            made, *_ = sensor_mesh(unit.design, suited_settings(unit.design).finer(CAD_LEVEL))
+            made, *_ = sensor_mesh(unit.design, CAD_LEVEL)
             mesh = MeshTet(np.ascontiguousarray(made.points_mm.T), np.ascontiguousarray(made.cells.T))
         resolved = self.rectangles if self.resolved is None else self.resolved
         return AdaptedTetrahedra(scene, regions, resolved, mesh)

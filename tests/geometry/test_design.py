@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 import pytest
 
 from geometry import Array, DesignError, Electrics, Material, Pad, SensorDesign, TriPillarError, Unit
-from geometry.mesh import MeshSettings
 from geometry.mould import Mould
 
 NAN = float("nan")
@@ -27,7 +26,7 @@ def test_defaults_are_the_papers_sensor():
     assert SensorDesign(array=Array(rows=2, cols=3, pitch_mm=20.0)).slab_mm == (60.0, 40.0, 10.0)
 
 
-KINDS = (Unit, Array, Pad, Material, Electrics, SensorDesign, MeshSettings, Mould)
+KINDS = (Unit, Array, Pad, Material, Electrics, SensorDesign, Mould)
 
 
 def nonsense(spec):
@@ -55,7 +54,6 @@ REFUSED = [
     (Electrics, {"elastoresistance_across": 1.0}, "eq. 1 has no elastoresistance"),
     (Unit, {"span_mm": 2.02}, MERGED.format("2.02", "pillars z and x")),
     (Unit, {"electrode_mm": 10.0}, MERGED.format(10, "electrodes L1 and L2")),
-    (MeshSettings, {"edge_top_mm": 1.0, "envelope_mm": 0.11}, r"envelope_mm=0.11 must be .* the edges \(1 and 5 mm\)"),
     (SensorDesign, {"array": Array(pitch_mm=12.8)}, "pitch_mm=12.8 is smaller than the unit.*to at least 12.83"),
     (SensorDesign, {"pad": Pad(size_mm=15.1)}, OFF.format(15.1)),
     (SensorDesign, {"pad": Pad(kind="stiff", size_mm=15.0)}, ".*stiff pads may not touch"),

@@ -13,27 +13,25 @@ from geometry import Array, GeometryError, Material, Pad, SensorDesign, Unit
 from geometry.cad import unit_solid
 from geometry.layout import LAYOUTS
 from geometry.mesh import (
-    PILLARS_TOLERANCE,
     REGIONS,
-    MeshSettings,
     MeshTask,
     TetMesh,
     boundary_faces,
     cell_volumes,
     check_volumes,
+    edges_mm,
     mesh_cache_key,
     outward,
     sensor_mesh,
     snap_to_prism,
     snap_to_side,
-    suited_settings,
 )
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at
 from tests.fem.scenes import DIAGONAL, round_of
 from tests.geometry.closed_forms import union_mm3
 
-COARSE = MeshSettings(edge_top_mm=5.0, edge_base_mm=5.0)
+COARSE = 0.25  #: level of edges of 5 mm at the top
 ONE = SensorDesign(array=Array(rows=1, cols=1))
 SOFT = replace(ONE, matrix_material=Material(young_mpa=1.0))
 CUBE = Prism(base_mm=(0.5, 0.5, 0.0), top_mm=(0.5, 0.5, 1.0), section_mm=(1.0, 1.0))
@@ -53,8 +51,7 @@ def test_regions_have_the_volumes_of_their_closed_forms_and_the_outside_lies_on_
 
     pillars = union_mm3(design.unit)
     slab, volumes = np.prod(design.slab_mm), mesh.region_volumes()
-    # what each mesh is held to, here against the closed form; chance decides how much of a wedge between pillars goes
-    assert volumes[1] == pytest.approx(pillars, rel=PILLARS_TOLERANCE)
+    assert volumes[1] == pytest.approx(pillars, rel=1e-4)  # what each mesh is held to, here against the closed form
     assert volumes.sum() == pytest.approx(slab, rel=1e-9)  # outer planes are exact: rounding of 2000 cells
     assert cell_volumes(mesh.points_mm, mesh.cells).min() > 0
     inside = prisms_at(mesh.points_mm[mesh.cells].mean(axis=1), pillar_prisms(design)) > 0
@@ -85,8 +82,7 @@ def test_the_cache_key_depends_on_what_shapes_the_mesh_alone(monkeypatch):
         (replace(ONE, array=Array(rows=1, cols=2)), COARSE),
         (replace(ONE, unit=replace(ONE.unit, height_mm=9.0)), COARSE),
         (replace(ONE, pad=Pad(kind="stiff")), COARSE),
-        (ONE, replace(COARSE, edge_top_mm=4.0)),
-        (ONE, replace(COARSE, envelope_mm=0.05)),
+        (ONE, 0.3),
     ]
     assert len({mesh_cache_key(*each) for each in others}) == len(others)
     rounded = replace(SOFT, unit=Unit(layout=round_of(LAYOUTS["upright-four"])))
@@ -147,12 +143,13 @@ def test_volumes_further_off_than_the_tolerance_are_refused_by_name(pillars_mm3,
 
 
 def test_small_sensors_get_smaller_edges_and_what_is_too_thin_is_refused():
-    small = suited_settings(SensorDesign(array=Array(pitch_mm=13.5)))
-    assert (small.edge_top_mm, small.edge_base_mm, small.envelope_mm) == pytest.approx((1.125, 4.5, 0.036))
-    assert suited_settings(SensorDesign(array=Array(pitch_mm=30.0))) == MeshSettings()
+    small = SensorDesign(array=Array(pitch_mm=13.5))
+    assert edges_mm(small) == pytest.approx((1.125, 4.5, 0.036))
+    assert edges_mm(small, 4.0) == pytest.approx((0.28125, 1.125, 0.028125))  # an envelope of at most a tenth
+    assert edges_mm(SensorDesign(array=Array(pitch_mm=30.0))) == edges_mm(ONE) == (1.25, 5.0, 0.04)
     thin = replace(SOFT, unit=Unit(pillar_width_mm=0.5))
     with pytest.raises(GeometryError, match=r"pillar_width_mm=0\.5 is too thin to be meshed"):
-        sensor_mesh(thin, suited_settings(thin))
+        sensor_mesh(thin)
 
 
 def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monkeypatch):
@@ -217,5 +214,5 @@ SIX = LAYOUTS["six-pillar"]
 def test_pillars_of_a_unit_are_meshed(layout):
     """Their union is drawn by the CAD kernel; crotches of round pillars are not put back."""
     design = replace(SOFT, unit=Unit(layout=layout))
-    mesh, _, _ = sensor_mesh(design, suited_settings(design))
+    mesh, _, _ = sensor_mesh(design)
     assert mesh.region_volumes()[1] == pytest.approx(unit_solid(design.unit).volume, rel=1e-3)

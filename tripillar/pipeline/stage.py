@@ -8,7 +8,7 @@ import numpy as np
 from fem.array.response import ArrayResponse
 from fem.array.solving import ResponseSettings, array_response
 from geometry.design import SensorDesign
-from geometry.mesh import sensor_mesh, smallest_dihedral_deg, suited_settings
+from geometry.mesh import sensor_mesh, smallest_dihedral_deg
 from tripillar.terminal.progress import Bars
 
 
@@ -26,7 +26,7 @@ class Stage:
 def meshed(design: SensorDesign, bars: Bars) -> Stage:
     """Mesh the sensor and judge the mesh."""
     advance = bars.begin("mesh", total=1)
-    mesh, path, reused = sensor_mesh(design, suited_settings(design), needed=True)
+    mesh, path, reused = sensor_mesh(design, needed=True)
     note = f"{len(mesh.cells)} tetrahedra, dihedral angles from {smallest_dihedral_deg(mesh):.0f}°"
     advance(1, "reused" if reused else note)
     return Stage(name="mesh", seconds=bars.seconds(), reused=reused, files=(path,), note=note)

@@ -8,7 +8,7 @@ from common.pool import Pool
 from common.storage.journal import Journal
 from fem.array.solving import ResponseSettings, cell_cache_key, response_cache_key
 from geometry.design import lone_unit
-from geometry.mesh import mesh_cache_key, suited_settings
+from geometry.mesh import mesh_cache_key
 from tripillar.sweeps.judge import row_of, row_with
 from tripillar.sweeps.rows import Row
 from tripillar.sweeps.sampling import Sample
@@ -69,4 +69,4 @@ def shared_stages(sample: Sample, judging: Judging) -> set[str]:
         f"cell {cell_cache_key(design, judging.tolerance)}",
         f"response {response_cache_key(design, settings)}",
     }
-    return stages if design.is_homogeneous else stages | {f"mesh {mesh_cache_key(alone, suited_settings(alone))}"}
+    return stages if design.is_homogeneous else stages | {f"mesh {mesh_cache_key(alone)}"}
