@@ -3,6 +3,7 @@
 `connect` opens a port or plays a recording; `live` adds a model, and gives the forces of each scan.
 """
 
+import logging
 import math
 import signal
 import sys
@@ -21,9 +22,10 @@ from geometry.design import Memory
 from geometry.layout import FloatArray
 from hardware.link.frames import Statistics
 from hardware.link.lines import MATRIX, matrix_info
+from hardware.link.protocols import spoken_on
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import is_beginning
+from hardware.link.serial_ports import is_beginning, no_such_port
 from hardware.readout.averaging import min_scans
 from hardware.readout.calibration import SensorCalibration, read_calibration
 from hardware.readout.forces import LiveSensor
@@ -53,7 +55,7 @@ def connect(
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
     stated = matrix_info(**{name: settings.pop(name) for name in MATRIX if name in settings})
-    _await(port)
+    _await(spoken_on(port, stated)[1])
     if Path(port).is_file():
         recording = read_recording(Path(port), stated)
         source = PlaybackPort(recording, speed=speed)
@@ -69,10 +71,17 @@ def connect(
 
 
 def _await(port: str) -> None:
-    """Wait for a device, or the link to one: a board that begins, or up to `APPEARS_S` for one that is plugged in."""
-    is_device = sys.platform != "win32" and "://" not in port and Path(port).suffix not in RECORDED and port
-    end_s = time.monotonic() + APPEARS_S * bool(is_device)
-    while not Path(port).exists() and (time.monotonic() < end_s or (is_device and is_beginning(port))):
+    """Wait for a device, or the link to one: a board that begins, or up to `APPEARS_S` for one that is plugged in.
+
+    It is said that it is waited for; where no port can appear, such as in a folder that is missing, nothing is.
+    """
+    is_file = "://" in port or Path(port).suffix in RECORDED
+    may_appear = sys.platform != "win32" and port and not is_file and Path(port).parent.is_dir()
+    end_s, is_said = time.monotonic() + APPEARS_S * bool(may_appear), False
+    while not Path(port).exists() and (time.monotonic() < end_s or (may_appear and is_beginning(port))):
+        if not is_said:
+            is_said = True
+            logging.getLogger("tripillar").warning("%s: %s; waiting %g s for it", port, no_such_port(), APPEARS_S)
         time.sleep(LOOK_S)
 
 
