@@ -4,9 +4,8 @@ A `Motion` is what the sensor goes through, a scripted press and slide. `run_boa
 simulated chip, or its frames from Python, on a pseudo-terminal.
 """
 
+import os
 import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import DesignError
-from common.storage.files import cache_folder, digest, write_text
+from common.storage.files import scratch, write_text
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.loads import PAPERS, displacements
@@ -37,7 +36,6 @@ from hardware.boards.simavr_board import (
     SimavrBoard,
     SimavrError,
     find_tools,
-    require_own,
     write_table,
 )
 from hardware.link.frames import Info
@@ -140,7 +138,8 @@ def suited_kind(info: Info) -> tuple[Kind, str]:
     why = ""
     for kind in get_args(Kind)[:2]:
         try:
-            firmware_built(info, kind)
+            with scratch() as folder:
+                build_firmware(info, kind, folder)
         except SimavrError as error:
             why = str(error)
         else:
@@ -157,49 +156,30 @@ def usual_rate(n_crossings: int) -> int:
     return min(USUAL_HZ, fastest_hz(n_crossings))
 
 
-def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
-    """Folder with the firmware for a board that says `info`, and the simulator's program; made if need be.
+def build_firmware(info: Info, mcu: str, folder: Path) -> None:
+    """Build the firmware of a board that says `info`, and the simulator's program, in half a second of processor time.
+
+    The folder should be this process's own: what is in it will be run.
 
     Raises
     ------
     SimavrError
-        If a tool is missing or the build fails; says which, and why. If others can write to the cache.
+        If a tool is missing or the build fails; says which, and why.
     """
     if missing := find_tools():
         raise SimavrError(missing)
-    header = sensor_header(info.rows, info.cols, info.layout)
-    settings = {
-        "SCAN_MODE": int(info.scan_mode),
-        "SENSE_OHM": info.sense_ohm,
-        "RATE": info.rate_hz,
-        "SERIAL": info.serial,
-    }
-    cache = cache_folder().absolute()
-    folder = cache / f"firmware-{digest(str(FIRMWARE), settings, header)}"
-    sensor = Path(f"{folder}.h")
-    for place in (folder, sensor):
-        require_own(place, cache)
-    cache.mkdir(parents=True, exist_ok=True)
-    if not sensor.exists() or sensor.read_text(encoding="utf-8") != header:
-        write_text(header, sensor)
+    sensor = folder / "sensor.h"
+    write_text(sensor_header(info.rows, info.cols, info.layout), sensor)
     command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
-    with open(f"{folder}.lock", "w", encoding="utf-8") as lock:
-        if sys.platform != "win32":
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX)  # boards that are started together build it once
-        done = subprocess.run(
-            [*command, *(f"{name}={value}" for name, value in settings.items())],
-            capture_output=True,
-            encoding="utf-8",
-            errors="replace",
-            umask=0o077,
-        )
+    command += [f"SCAN_MODE={int(info.scan_mode)}", f"SENSE_OHM={info.sense_ohm}"]
+    command += [f"RATE={info.rate_hz}", f"SERIAL={info.serial}"]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
     if done.returncode:
         said = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
         causes = [line.split("error:", 1)[1].strip() for line in said if "error:" in line]
         raise SimavrError(f"the firmware does not build: {(causes or said)[0]}")
-    return folder
+    if not os.access(folder / "simavr-board", os.X_OK):
+        raise SimavrError(f"no program may run from {folder.parent}: set TMPDIR to a folder from which programs may.")
 
 
 def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
@@ -211,8 +191,10 @@ def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
 
 
 @contextmanager
-def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], fast: bool = False) -> Iterator[Any]:
+def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], *options: str) -> Iterator[Any]:
     """Run a board whose sensor goes through counts (n, n_crossings), a step each `STEP_S`, over and over.
+
+    Options are those of `SimavrBoard`.
 
     Raises
     ------
@@ -227,10 +209,10 @@ def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], fast: bool = Fa
         return
     if info.bits != CHIP_BITS:
         raise DesignError(f"bits={info.bits}, but the chip's converter has {CHIP_BITS}: simulate with --board python.")
-    built = firmware_built(info, kind)
-    with tempfile.TemporaryDirectory(prefix="tripillar-") as folder:
-        table = Path(folder) / "table"
+    with scratch() as folder:
+        build_firmware(info, kind, folder)
+        table = folder / "table"
         write_table(table, by_wire(counts, info), step_us=round(STEP_S * 1e6))
-        elf, program = built / f"tripillar-{kind}.elf", built / "simavr-board"
-        with SimavrBoard(elf, kind, table, fast=fast, program=program) as chip:
+        elf = folder / f"tripillar-{kind}.elf"
+        with SimavrBoard(folder / "simavr-board", elf, kind, table, *options) as chip:
             yield chip
