@@ -21,11 +21,13 @@ from typing import IO, Any, Self
 
 import numpy as np
 from cobs import cobs
+from numpy.typing import NDArray
 
 from common.bounded import require_memory, require_regular
 from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
+from geometry.layout import FloatArray
 from hardware.link.frames import PROTOCOL, Frame, Info, ScanMode, Statistics, pack, packed_dtype, unpack
 from hardware.link.lines import RANGES, LineDecoder, counted, ranged
 from hardware.recording.recorded import MADE_FROM, Header, Recording, is_restart, read_header, unwrapped_s
@@ -40,6 +42,7 @@ _MAX_UNIX_S = 1e10  # beyond, nanoseconds do not fit the 64 bits that MCAP has f
 _TIME = struct.Struct("<d")
 _NO_TIME = _TIME.pack(np.nan)
 _AROUND = packed_dtype(0).itemsize  # bytes of a packed frame beside its counts
+OF_FRAMES = ("counts", "sequence", "device_us", "flags", "overruns")  #: what a recording keeps of each
 _FROM_THE_RECEIVER = ("bad_cobs", "bad_crc", "bad_form", "repeated", "foreign")
 
 
@@ -251,22 +254,12 @@ def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
             "another unit, here and in training, such as mS for S."
         )
     info, n = ranged(stated, numbers), len(numbers)
-    counts, is_bound = counted(info, numbers)
-    device_us = (np.rint(1e6 * clock).astype(np.int64) % 2**32).astype(np.uint32)
-    sequence, run = (np.arange(n) % 2**16).astype(np.uint16), np.zeros(n, np.uint32)
-    run[1:] = np.cumsum(is_restart(sequence, device_us))
-    return Recording(
-        info=info,
-        counts=counts,
-        sequence=sequence,
-        device_us=device_us,
-        flags=(is_bound | info.scan_mode << 1).astype(np.uint8),
-        overruns=np.zeros(n, np.uint8),
-        run=run,
-        received_s=None,
-        time_s=unwrapped_s(device_us, run, None),
-        statistics=Statistics(ok=n, info=1, bad_form=decoder.statistics.bad_form + len(matrices) - n),
-    )
+    columns = np.zeros(n, packed_dtype(info.n_crossings))
+    columns["counts"], is_bound = counted(info, numbers)
+    columns["flags"], columns["sequence"] = is_bound | info.scan_mode << 1, np.arange(n) % 2**16
+    columns["device_us"] = np.rint(1e6 * clock).astype(np.int64) % 2**32
+    counts = Counter({"ok": n, "bad_form": decoder.statistics.bad_form + len(matrices) - n})
+    return _recorded(Header(info=info), columns, np.zeros(n, np.uint32), None, counts)
 
 
 def parse_recording(stream: bytes, source: str = "recording") -> Recording:
@@ -314,24 +307,28 @@ def _read(file: IO[bytes], source: str) -> Recording:
     columns = np.frombuffer(rows, dtype)
     arrivals = columns["received_s"].astype(np.float64)
     received_s = None if np.isnan(arrivals).any() else arrivals
-    sequence, device_us, began = columns["sequence"], columns["device_us"], np.frombuffer(runs, "<u4")
+    began, places = np.frombuffer(runs, "<u4"), tuple(damaged_at)
+    return _recorded(header, columns, began, received_s, counted, truncated_bytes=truncated_bytes, damaged_at=places)
+
+
+def _recorded(
+    header: Header,
+    columns: NDArray[np.void],
+    began: NDArray[np.uint32],
+    received_s: FloatArray | None,
+    counts: Counter[str],
+    **more: Any,
+) -> Recording:
+    """A recording of frames as columns, which began anew where `began` (n,) counts up; with what was counted."""
+    sequence, device_us = columns["sequence"], columns["device_us"]
     restart = is_restart(sequence, device_us) & (np.diff(began) == 0)
-    in_run = np.concatenate([[0], np.cumsum(restart | (np.diff(began) != 0))]).astype(np.uint32)
-    missing = (np.diff(sequence) - np.uint16(1))[np.diff(in_run) == 0]
-    counted.update({"restarts": int(restart.sum()), "lost": int(missing.sum()), "info": 1})
+    run = np.concatenate([[0], np.cumsum(restart | (np.diff(began) != 0))]).astype(np.uint32)
+    missing = (np.diff(sequence) - np.uint16(1))[np.diff(run) == 0]
+    counts.update({"restarts": int(restart.sum()), "lost": int(missing.sum()), "info": 1})
+    native: dict[str, Any] = {name: columns[name].astype(columns[name].dtype.newbyteorder("=")) for name in OF_FRAMES}
+    time_s, statistics = unwrapped_s(device_us, run, received_s), Statistics(**counts)
     return Recording(
-        **vars(header),
-        counts=columns["counts"].astype(np.uint16),
-        sequence=sequence.astype(np.uint16),
-        device_us=device_us.astype(np.uint32),
-        flags=columns["flags"].astype(np.uint8),
-        overruns=columns["overruns"].astype(np.uint8),
-        run=in_run,
-        received_s=received_s,
-        time_s=unwrapped_s(device_us, in_run, received_s),
-        statistics=Statistics(**counted),
-        truncated_bytes=truncated_bytes,
-        damaged_at=tuple(damaged_at),
+        **vars(header), **native, run=run, received_s=received_s, time_s=time_s, statistics=statistics, **more
     )
 
 
