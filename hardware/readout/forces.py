@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -38,11 +39,7 @@ Told = Callable[[int], Any]
 BYTES_A_COUNT = 48  #: of memory that the forces of a recording take, a count of its frames
 NAMED = 3  #: pillars left out that are named in a line
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
-#: values of `Forces` by scans
-BY_SCAN = (
-    *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated", "left_out"),
-    *("memory_rise", "memory_deviation", "memory_tested", "time_s", "stamp_ns", "device_us", "sequence"),
-)
+OF_ALL_SCANS = ("model", "faults", "weights", "description")  #: values of `Forces` that are not by scan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,16 +71,18 @@ class Forces:
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
     def __getitem__(self, which: int | slice) -> "Forces":
-        """Forces of some scans; what is known of deviations and net load goes along."""
-        given = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
-        known = vars(self).get("deviations", self.stated)
-        stated: Any = known and tuple(None if each is None else each[which] for each in known)
-        tested: Any = self.tested and tuple(each[which] for each in self.tested)
-        some = replace(self, **given, stated=stated, tested=tested)
-        if "wrench" in vars(self):
-            found: Any = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
-            vars(some)["wrench"] = Wrench(**found)
-        return some
+        """Forces of some scans; what has been computed of all goes along, such as deviations and net load."""
+
+        def some(values: Any) -> Any:
+            if isinstance(values, Wrench):
+                return Wrench(**{name: some(each) for name, each in vars(values).items()})
+            return (
+                tuple(map(some, values)) if isinstance(values, tuple) else values if values is None else values[which]
+            )
+
+        chosen = copy(self)
+        vars(chosen).update({name: some(each) for name, each in vars(self).items() if name not in OF_ALL_SCANS})
+        return chosen
 
     @cached_property
     def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:

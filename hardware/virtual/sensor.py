@@ -38,8 +38,7 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
-from hardware.virtual.steps import rounded, shares
-from hardware.virtual.strained import StrainedSensor
+from hardware.virtual.steps import StrainedSensor, rounded, shares
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
