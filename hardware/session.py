@@ -39,8 +39,8 @@ APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
 RECORDED = (".frames", ".nc", ".mcap", ".csv", ".txt", ".log")  #: endings of files, which do not appear by themselves
 BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
-TOLD_S = 1.0  #: between two reports of a recording's progress
-taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
+REPORT_S = 1.0  #: between two reports of a recording's progress
+noted_signals = [0]  #: by `ended_by_signal`, so that who watches for signals leaves these alone
 RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the recorder up; 109 s at 150 Hz
 
 
@@ -180,7 +180,7 @@ def ended_by_signal() -> Iterator[Callable[[], int]]:
         if came:
             raise KeyboardInterrupt
         came.append(number)
-        taken[0] += 1
+        noted_signals[0] += 1
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -204,17 +204,17 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
         pass
     rate_hz = scanner.info.rate_hz
     least = max(1, min(min_scans(rate_hz), int(seconds * rate_hz)))
-    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=least) if scan]
-    if not taken or scanner.trouble:
-        came = f"{len(taken)} scans" if taken else "no scan"
+    counts = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=least) if scan]
+    if not counts or scanner.trouble:
+        came = f"{len(counts)} scans" if counts else "no scan"
         raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
-    return np.array(taken)
+    return np.array(counts)
 
 
 def hashes_of(model: "Decoder") -> dict[str, str]:
     """Hashes of the model and its design, which a recording keeps."""
-    found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
-    return {name: str(value) for name, value in found.items() if value}
+    hashes = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
+    return {name: str(value) for name, value in hashes.items() if value}
 
 
 def record_scans(
@@ -233,7 +233,7 @@ def record_scans(
     scans recorded and what the scanner met; raises as `Recorder`.
     """
     unix_s = time.time() - time.perf_counter()
-    start = told = time.monotonic()
+    start = reported_s = time.monotonic()
     last = None
     text = "" if calibration is None else calibration.to_json()
     with Recorder(path, scanner.info, text, made_from, append) as recorder:
@@ -244,8 +244,8 @@ def record_scans(
                 last = scan
                 recorder.append(scan.frame, unix_s + scan.received_s)
             now = time.monotonic()
-            if advance and now - told > TOLD_S:
-                told = now
+            if advance and now - reported_s > REPORT_S:
+                reported_s = now
                 advance(now - start, recorder.frames, scanner.trouble)
         statistics = scanner.stats
         recorder.close(Statistics(**{each.name: getattr(statistics, each.name) for each in fields(Statistics)}))

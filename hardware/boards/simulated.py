@@ -185,9 +185,9 @@ def build_firmware(info: Info, mcu: str, folder: Path) -> None:
 def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
     """Counts (n, n_crossings) as what lies between each two wires, (n, row wires, column wires); `EMPTY` elsewhere."""
     row, column = crossings(info.rows, info.cols, info.layout).T
-    found = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
-    found[:, row, column] = counts
-    return found.astype(np.uint16)
+    table = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
+    table[:, row, column] = counts
+    return table.astype(np.uint16)
 
 
 @contextmanager

@@ -335,9 +335,9 @@ def _recorded(
 def _common_header(stated: list[Header], n: int, size: int, source: str) -> Header:
     """The header that all sessions and INFO frames agree on."""
     if not stated:
-        found = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
+        lack = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
         raise FileFormatError(
-            f"{source}: {found if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
+            f"{source}: {lack if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
             "rate, with the answer to '?' first; of a log of plain numbers, rows= and cols= of them."
         )
     if not n:

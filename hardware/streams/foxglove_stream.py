@@ -30,7 +30,7 @@ TRUSTED = re.compile(r"\w+://((localhost|127\.0\.0\.1|\[::1\]|([\w-]+\.)*foxglov
 NUMBERS = re.compile(r"localhost|[\d.]+|[\da-f:.]*:[\da-f:.]*")  #: hosts that no other name can be pointed at
 MAX_CLIENTS = 8
 MAX_WAITING = 2**22  #: bytes that wait for a client; where more do, it gets no new messages
-MAX_TOLD = 2**16  #: bytes of what a client says at once
+MAX_MESSAGE = 2**16  #: bytes of what a client says at once
 CLOSING_S = 0.5  #: longest time for all clients to read what waits for them at the end
 HANDSHAKE_S = 3.0  #: longest time to say who one is
 _MESSAGE = struct.Struct("<BIQ")  # 1, subscription, time [ns]
@@ -119,7 +119,7 @@ class FoxgloveStream:
         silent = logging.Logger("foxglove", logging.CRITICAL + 1)  # the terminal is not for what strangers send
         server = await serve(
             self._attend, sock=listening, process_request=self._refusal, subprotocols=SUBPROTOCOLS, compression=None,
-            max_size=MAX_TOLD, open_timeout=HANDSHAKE_S, close_timeout=CLOSING_S, logger=silent,
+            max_size=MAX_MESSAGE, open_timeout=HANDSHAKE_S, close_timeout=CLOSING_S, logger=silent,
         )  # fmt: skip
         await self._over.wait()
         server.close()
@@ -131,8 +131,8 @@ class FoxgloveStream:
     def _refusal(self, connection: Any, request: Any) -> Any:
         """The answer to a client that is not let in; None to one that is."""
         if self._token:
-            said = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-            is_known = compare_digest(said.encode(), self._token.encode())
+            token = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
+            is_known = compare_digest(token.encode(), self._token.encode())
         else:
             origins = request.headers.get_all("Origin")
             asked = urlsplit(f"//{request.headers.get('Host', '')}").hostname or ""
@@ -152,10 +152,10 @@ class FoxgloveStream:
             return
         subscribed = self._clients[client] = {}
         try:
-            for told in self._greeting:
-                await client.send(json.dumps(told))
-            async for told in client:
-                for channel in _heard(told, subscribed, set(self._numbers.values())):
+            for greeting in self._greeting:
+                await client.send(json.dumps(greeting))
+            async for message in client:
+                for channel in _subscribed(message, subscribed, set(self._numbers.values())):
                     if channel == self._numbers[SENSOR] and self._described:
                         self._give(client, channel, *self._described)
         except ConnectionClosed:
@@ -164,16 +164,16 @@ class FoxgloveStream:
             del self._clients[client]
 
 
-def _heard(told: str | bytes, subscribed: dict[int, int], channels: set[int]) -> list[int]:
+def _subscribed(message: str | bytes, subscribed: dict[int, int], channels: set[int]) -> list[int]:
     """Keep what a client subscribes to, and say to which channels anew; nonsense is passed over."""
     try:
-        said = json.loads(told)
-        if said["op"] == "unsubscribe":
-            gone = set(said["subscriptionIds"])
+        request = json.loads(message)
+        if request["op"] == "unsubscribe":
+            gone = set(request["subscriptionIds"])
             for channel in [channel for channel, number in subscribed.items() if number in gone]:
                 del subscribed[channel]
-        elif said["op"] == "subscribe":
-            asked = {int(each["channelId"]): int(each["id"]) % 2**32 for each in said["subscriptions"]}
+        elif request["op"] == "subscribe":
+            asked = {int(each["channelId"]): int(each["id"]) % 2**32 for each in request["subscriptions"]}
             new = {channel: number for channel, number in asked.items() if channel in channels}
             subscribed.update(new)
             return list(new)

@@ -8,6 +8,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from reprlib import repr as shortened
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from tripillar.viewer.page.controls import (
     controls_of,
     mapping,
     numbers_of,
-    shortened,
     sliders_of,
     taken,
     traction_of,
