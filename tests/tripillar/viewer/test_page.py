@@ -67,6 +67,9 @@ def test_noise_of_a_sensor_at_rest_stays_pale(subject):
     page.update()
     share = page.scene.pillars["shown"].max() / (4 * 4.0 / 720 * page.scene.full_size("displacement"))
     assert page._min_share(subject.sensor.follow(rest)) == pytest.approx(16 / 720)
+    assert page._facts()["least_n"] == 10.0
+    page._full_n = 7.2  # a soft sensor's
+    assert page._facts()["least_n"] == pytest.approx(0.144)
     page.close()
     assert share < 0.5
 

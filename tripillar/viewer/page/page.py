@@ -37,6 +37,7 @@ LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces
 UNDRAWN = "drawn at rest: no pillar bears these forces"
 HALF_WIDTHS = 4.0  #: of a sensor's forces, that colours span at least
+MIN_FORCE_N = 10.0  #: that colours of the maps span at least, less of a sensor of less force
 CAP_PCT = 30  #: largest pillar strain of the datasets and of the paper
 MAX_A_SECOND = 200  #: messages that are read; a screen gives 60 moves of the mouse
 BURST_S = 1.0  #: worth of messages that are read at once after a silence
@@ -68,6 +69,7 @@ class Page:
         self._traction = np.zeros((self._design.n_units, 3))
         self._generator = np.random.default_rng(0)
         self._loads = loads_of(subject.sensor.response)
+        self._full_n = self._loads.normal_mpa[1] * self._design.pad.size_mm**2  # largest usual force on a pad
         self._kinds = controls_of(self._design, subject.feed is not None, self._loads)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
         self._shown: dict[str, Any] = {"controls": {}}  # as the browser has it
@@ -160,6 +162,7 @@ class Page:
             "pads": self._design.pad.kind,
             "pillars": self._design.unit.layout.pillar_names,
             "cap": CAP_PCT,
+            "least_n": min(MIN_FORCE_N, MIN_SHARE * self._full_n),
             "friction": round(self._loads.friction, 3),
             "decoupler": self._subject.decoupler,
             "sensor": None if feed is None else feed.port,
@@ -270,8 +273,7 @@ class Page:
         """Share of the full scale that colours span at least: some half-widths of a sensor's forces, if it has any."""
         if reading.half_width_n is None or np.isnan(reading.half_width_n[..., 2]).all():
             return MIN_SHARE
-        full_n = self._loads.normal_mpa[1] * self._design.pad.size_mm**2
-        return max(MIN_SHARE, HALF_WIDTHS * float(np.nanmax(reading.half_width_n[..., 2])) / full_n)
+        return max(MIN_SHARE, HALF_WIDTHS * float(np.nanmax(reading.half_width_n[..., 2])) / self._full_n)
 
     def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
         """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""
