@@ -86,7 +86,6 @@ class Recorder:
         self.header = Header(info=info, calibration=calibration, made_from=made_from or {})
         self.frames = 0  #: recorded so far
         self._runs = 0
-        self._file = -1
         is_there = self.path.exists()
         if is_there and not append:
             raise FileFormatError(f"{path}: the file exists: give another name, or continue it by --append.")
@@ -94,22 +93,21 @@ class Recorder:
             self._require_same_header()
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_APPEND | (0 if is_there else os.O_CREAT | os.O_EXCL)
-            self._file = os.open(self.path, flags | getattr(os, "O_BINARY", 0), 0o666)
+            self._file = self.path.open("ab" if is_there else "xb", buffering=0)
             self._write(2 * self._session("append" if is_there else "start"))  # twice: one damaged header costs nothing
         except OSError as error:
-            is_made = self._file >= 0 and not is_there
-            self._close()
-            if is_made:
-                self.path.unlink(missing_ok=True)
-            kept = "; the recording is as it was" if is_there else ""
+            if "_file" in vars(self):
+                self.close()
+                if not is_there:
+                    self.path.unlink()
+            unchanged = "; the recording is as it was" if is_there else ""
             raise RecordingError(
-                f"{path}: {_reason(error)}{kept}: give a file on a disk that has room and can be written."
+                f"{path}: {_reason(error)}{unchanged}: give a file on a disk that has room and can be written."
             ) from None
 
     def append(self, frame: Frame, received_s: float) -> None:
         """Add a frame, with the host's Unix time of its arrival [s]."""
-        if self._file < 0:
+        if self._file.closed:
             raise RecordingError(f"{self.path}: the recorder is closed: make a new one, with append to continue.")
         if not 0 <= received_s < _MAX_UNIX_S:
             raise ValueError(
@@ -125,10 +123,10 @@ class Recorder:
 
     def close(self, statistics: Statistics | None = None) -> None:
         """Write the statistics of who received the frames, if they are given, and close; again, it does nothing."""
-        if self._file >= 0:
-            if statistics is not None:
-                self._write_or_end(_record(_END, json.dumps(asdict(statistics)).encode()))
-            self._close()
+        if statistics is not None and not self._file.closed:
+            self._write_or_end(_record(_END, json.dumps(asdict(statistics)).encode()))
+        with suppress(OSError):
+            self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -145,7 +143,7 @@ class Recorder:
         try:
             self._write(data)
         except OSError as error:
-            self._close()
+            self.close()
             raise RecordingError(
                 f"{self.path}: {_reason(error)}: recording ended, all {self.frames} frames up to here are kept: "
                 "make room or take another disk."
@@ -154,20 +152,14 @@ class Recorder:
     def _write(self, data: bytes) -> None:
         """Append some bytes; on failure none of them is left."""
         with uninterrupted():
-            start = os.fstat(self._file).st_size
+            start = self._file.seek(0, os.SEEK_END)
             try:
                 while data:
-                    data = data[os.write(self._file, data) :]  # a disk that gets full takes a part of them first
+                    data = data[self._file.write(data) :]  # a disk that gets full takes a part of them first
             except OSError:
                 with suppress(OSError):
-                    os.ftruncate(self._file, start)
+                    self._file.truncate(start)
                 raise
-
-    def _close(self) -> None:
-        if self._file >= 0:
-            with suppress(OSError):
-                os.close(self._file)
-            self._file = -1
 
     def _require_same_header(self) -> None:
         with self.path.open("rb") as file:
