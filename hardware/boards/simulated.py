@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import DesignError
+from common.quantity import Sound, positive, quantity
 from common.storage.files import scratch, write_text
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import OPEN_OHM, Imperfections
@@ -58,19 +59,16 @@ class Motion:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressAndSlide:
+class PressAndSlide(Sound):
     """A round indenter comes down on one corner of the array, slides to the opposite one, and lifts."""
 
-    peak_mpa: float = PAPERS.middle_mpa  #: pressure under its middle; 0: the sensor rests
-    friction: float = 0.2  #: shear over pressure while it slides
-    width_mm: float = 15.0  #: standard deviation of its bell
-    seconds: float = 6.0  #: of one period: a sixth each at rest, coming down and lifting, half of it sliding
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.peak_mpa <= 10:
-            raise DesignError(f"peak_mpa={self.peak_mpa:g} must be from 0, at rest, to 10; the paper uses 1 to 5.")
-        if not 0 <= self.friction <= 1:
-            raise DesignError(f"friction={self.friction:g} must be from 0 to 1.")
+    peak_mpa: float = quantity(
+        PAPERS.middle_mpa, "pressure under its middle [MPa], 0 at rest; the paper uses 1 to 5", within=(0, 10)
+    )
+    friction: float = quantity(0.2, "shear over pressure while it slides", within=(0, 1))
+    width_mm: float = positive(15.0, "standard deviation of its bell [mm]")
+    #: a sixth each at rest, coming down and lifting, half of it sliding
+    seconds: float = positive(6.0, "one period [s]")
 
     def tractions(self, time_s: FloatArray, design: SensorDesign) -> FloatArray:
         """Traction on every pad at each time, (n,) -> (n, n_units, 3) [MPa]; z negative when pushing down."""
