@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 Kind = Literal["atmega328p", "atmega2560", "python"]
 STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars in as much
 USUAL_HZ = 150  #: rate of the firmware
+PROGRAM = "simavr-board"  #: that runs it, as ``make`` names it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,8 +138,7 @@ def suited_kind(info: Info) -> tuple[Kind, str]:
     why = ""
     for kind in get_args(Kind)[:2]:
         try:
-            with scratch() as folder:
-                build_firmware(info, kind, folder)
+            firmware_built(info, kind)
         except SimavrError as error:
             why = str(error)
         else:
@@ -154,10 +155,12 @@ def usual_rate(n_crossings: int) -> int:
     return min(USUAL_HZ, fastest_hz(n_crossings))
 
 
-def build_firmware(info: Info, mcu: str, folder: Path) -> None:
-    """Build the firmware of a board that says `info`, and the simulator's program, in half a second of processor time.
+@cache  # so that what was asked for is not built again to be run
+def firmware_built(info: Info, mcu: str) -> dict[str, bytes]:
+    """The firmware of a board that says `info`, and the simulator's program, by the names of their files.
 
-    The folder should be this process's own: what is in it will be run.
+    They are built in a folder of this process, in half a second of processor time: nothing that others put elsewhere is
+    ever run.
 
     Raises
     ------
@@ -166,18 +169,22 @@ def build_firmware(info: Info, mcu: str, folder: Path) -> None:
     """
     if missing := find_tools():
         raise SimavrError(missing)
-    sensor = folder / "sensor.h"
-    write_text(sensor_header(info.rows, info.cols, info.layout), sensor)
-    command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
-    command += [f"SCAN_MODE={int(info.scan_mode)}", f"SENSE_OHM={info.sense_ohm}"]
-    command += [f"RATE={info.rate_hz}", f"SERIAL={info.serial}"]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
-    if done.returncode:
-        said = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
-        causes = [line.split("error:", 1)[1].strip() for line in said if "error:" in line]
-        raise SimavrError(f"the firmware does not build: {(causes or said)[0]}")
-    if not os.access(folder / "simavr-board", os.X_OK):
-        raise SimavrError(f"no program may run from {folder.parent}: set TMPDIR to a folder from which programs may.")
+    with scratch() as folder:
+        sensor = folder / "sensor.h"
+        write_text(sensor_header(info.rows, info.cols, info.layout), sensor)
+        command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
+        command += [f"SCAN_MODE={int(info.scan_mode)}", f"SENSE_OHM={info.sense_ohm}"]
+        command += [f"RATE={info.rate_hz}", f"SERIAL={info.serial}"]
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
+            causes = [line.split("error:", 1)[1].strip() for line in lines if "error:" in line]
+            raise SimavrError(f"the firmware does not build: {(causes or lines)[0]}")
+        if not os.access(folder / PROGRAM, os.X_OK):
+            raise SimavrError(
+                f"no program may run from {folder.parent}: set TMPDIR to a folder from which programs may."
+            )
+        return {name: (folder / name).read_bytes() for name in (PROGRAM, f"tripillar-{mcu}.elf")}
 
 
 def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
@@ -208,9 +215,10 @@ def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], *options: str) 
     if info.bits != CHIP_BITS:
         raise DesignError(f"bits={info.bits}, but the chip's converter has {CHIP_BITS}: simulate with --board python.")
     with scratch() as folder:
-        build_firmware(info, kind, folder)
-        table = folder / "table"
+        for name, content in firmware_built(info, kind).items():
+            (folder / name).write_bytes(content)
+        program, elf, table = (folder / name for name in (PROGRAM, f"tripillar-{kind}.elf", "table"))
+        program.chmod(0o700)
         write_table(table, by_wire(counts, info), step_us=round(STEP_S * 1e6))
-        elf = folder / f"tripillar-{kind}.elf"
-        with SimavrBoard(folder / "simavr-board", elf, kind, table, *options) as chip:
+        with SimavrBoard(program, elf, kind, table, *options) as chip:
             yield chip
