@@ -135,5 +135,5 @@ class SimavrBoard:
             return dict(json.loads(line))
         self.process.wait()
         self._messages.seek(0)
-        said = self._messages.read().strip().splitlines()
-        raise SimavrError(said[-1] if said else f"the simulated board ended with code {self.process.returncode}.")
+        lines = self._messages.read().strip().splitlines()
+        raise SimavrError(lines[-1] if lines else f"the simulated board ended with code {self.process.returncode}.")

@@ -141,15 +141,15 @@ def frame_message(scan: Forces) -> dict[str, Any]:
     }
 
 
-def _contact(found: Any) -> dict[str, Any]:
+def _contact(contact: Any) -> dict[str, Any]:
     """One contact as a TactileContact."""
     lengths = {
-        "center": found.centre_mm, "center_deviation": found.centre_deviation_mm,
-        "half_size": found.half_mm, "half_size_deviation": found.half_deviation_mm,
+        "center": contact.centre_mm, "center_deviation": contact.centre_deviation_mm,
+        "half_size": contact.half_mm, "half_size_deviation": contact.half_deviation_mm,
     }  # fmt: skip
     return {
-        "force": _vector(SIGNS * found.force_n),
-        "force_deviation": _vector(found.force_deviation_n),
+        "force": _vector(SIGNS * contact.force_n),
+        "force_deviation": _vector(contact.force_deviation_n),
         **{name: _vector(np.append(1e-3 * values, 0.0)) for name, values in lengths.items()},
     }
 
