@@ -3,6 +3,7 @@
 `connect` opens a port or plays a recording; `live` adds a model, and gives the forces of each scan.
 """
 
+import logging
 import math
 import signal
 import sys
@@ -21,9 +22,10 @@ from geometry.design import Memory
 from geometry.layout import FloatArray
 from hardware.link.frames import Statistics
 from hardware.link.lines import MATRIX, matrix_info
+from hardware.link.protocols import spoken_on
 from hardware.link.reception import LinkStatistics, Scan
 from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import is_beginning
+from hardware.link.serial_ports import is_beginning, no_such_port
 from hardware.readout.averaging import min_scans
 from hardware.readout.calibration import SensorCalibration, read_calibration
 from hardware.readout.forces import LiveSensor
@@ -37,8 +39,8 @@ APPEARS_S = 10.0  #: longest wait for a port that is about to appear
 LOOK_S = 0.05  #: between two looks for it
 RECORDED = (".frames", ".nc", ".mcap", ".csv", ".txt", ".log")  #: endings of files, which do not appear by themselves
 BATCH_S = 0.1  #: longest wait for a scan; then the caller may do other work
-TOLD_S = 1.0  #: between two reports of a recording's progress
-taken = [0]  #: signals that `ended_by_signal` has noted, so that who watches for signals leaves these alone
+REPORT_S = 1.0  #: between two reports of a recording's progress
+noted_signals = [0]  #: by `ended_by_signal`, so that who watches for signals leaves these alone
 RECORDING_QUEUE = 2**14  #: scans that may wait while disk or machine hold the recorder up; 109 s at 150 Hz
 
 
@@ -53,7 +55,7 @@ def connect(
     source: Any = port
     known = None if calibration is None else read_calibration(Path(calibration))
     stated = matrix_info(**{name: settings.pop(name) for name in MATRIX if name in settings})
-    _await(port)
+    _await(spoken_on(port, stated)[1])
     if Path(port).is_file():
         recording = read_recording(Path(port), stated)
         source = PlaybackPort(recording, speed=speed)
@@ -69,10 +71,17 @@ def connect(
 
 
 def _await(port: str) -> None:
-    """Wait for a device, or the link to one: a board that begins, or up to `APPEARS_S` for one that is plugged in."""
-    is_device = sys.platform != "win32" and "://" not in port and Path(port).suffix not in RECORDED and port
-    end_s = time.monotonic() + APPEARS_S * bool(is_device)
-    while not Path(port).exists() and (time.monotonic() < end_s or (is_device and is_beginning(port))):
+    """Wait for a device, or the link to one: a board that begins, or up to `APPEARS_S` for one that is plugged in.
+
+    It is said that it is waited for; where no port can appear, such as in a folder that is missing, nothing is.
+    """
+    is_file = "://" in port or Path(port).suffix in RECORDED
+    may_appear = sys.platform != "win32" and port and not is_file and Path(port).parent.is_dir()
+    end_s, is_said = time.monotonic() + APPEARS_S * bool(may_appear), False
+    while not Path(port).exists() and (time.monotonic() < end_s or (may_appear and is_beginning(port))):
+        if not is_said:
+            is_said = True
+            logging.getLogger("tripillar").warning("%s: %s; waiting %g s for it", port, no_such_port(), APPEARS_S)
         time.sleep(LOOK_S)
 
 
@@ -171,7 +180,7 @@ def ended_by_signal() -> Iterator[Callable[[], int]]:
         if came:
             raise KeyboardInterrupt
         came.append(number)
-        taken[0] += 1
+        noted_signals[0] += 1
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -195,17 +204,17 @@ def counts_within(scanner: Scanner, seconds: float) -> NDArray[Any]:
         pass
     rate_hz = scanner.info.rate_hz
     least = max(1, min(min_scans(rate_hz), int(seconds * rate_hz)))
-    taken = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=least) if scan]
-    if not taken or scanner.trouble:
-        came = f"{len(taken)} scans" if taken else "no scan"
+    counts = [scan.frame.counts for scan in scans_within(scanner, seconds, ends_by_signal=False, least=least) if scan]
+    if not counts or scanner.trouble:
+        came = f"{len(counts)} scans" if counts else "no scan"
         raise ScannerError(f"{came} within {seconds:g} s: {scanner.trouble or 'is the board still connected?'}")
-    return np.array(taken)
+    return np.array(counts)
 
 
 def hashes_of(model: "Decoder") -> dict[str, str]:
     """Hashes of the model and its design, which a recording keeps."""
-    found = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
-    return {name: str(value) for name, value in found.items() if value}
+    hashes = {"model_recipe": model.made_from.get("recipe"), "design_hash": model.design_hash}
+    return {name: str(value) for name, value in hashes.items() if value}
 
 
 def record_scans(
@@ -224,7 +233,7 @@ def record_scans(
     scans recorded and what the scanner met; raises as `Recorder`.
     """
     unix_s = time.time() - time.perf_counter()
-    start = told = time.monotonic()
+    start = reported_s = time.monotonic()
     last = None
     text = "" if calibration is None else calibration.to_json()
     with Recorder(path, scanner.info, text, made_from, append) as recorder:
@@ -235,8 +244,8 @@ def record_scans(
                 last = scan
                 recorder.append(scan.frame, unix_s + scan.received_s)
             now = time.monotonic()
-            if advance and now - told > TOLD_S:
-                told = now
+            if advance and now - reported_s > REPORT_S:
+                reported_s = now
                 advance(now - start, recorder.frames, scanner.trouble)
         statistics = scanner.stats
         recorder.close(Statistics(**{each.name: getattr(statistics, each.name) for each in fields(Statistics)}))

@@ -16,6 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -194,13 +195,16 @@ def _size(n_bytes: int) -> str:
 def uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C back until the block is done: a library that is interrupted in a write may wait for ever, or crash.
 
-    Does nothing outside the main thread, which gets no signals.
+    Does nothing outside the main thread, which gets no signals. The handler meanwhile names the one before, so that who
+    watches for signals (`tripillar.terminal.interrupts`) can end a process whose write hangs.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    held = partial(lambda number, _: came.append(number))
+    vars(held)["before"] = before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, held)
     try:
         yield
     finally:

@@ -119,11 +119,12 @@ class Bar:
         return {"show_scalar_bar": False, **colours}
 
 
-def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
+def bar_of(quantity: Quantity, panels: Iterable[Parts], min_size: float = 0.0) -> Bar:
     """One colour bar for several pictures: it ends at the least and the largest value, 0 among its values.
 
-    Of stress, which has no bound at edges, it ends where 98 % of the volume (of surfaces: of the area) has less, and
-    says so. A share of the points instead would depend on how many of them a mesh has at the edges.
+    Values up to `min_size` are within it. Of stress, which has no bound at edges, it ends where 98 % of the volume (of
+    surfaces: of the area) has less, and says so. A share of the points instead would depend on how many of them a mesh
+    has at the edges.
     """
     solid = [(name, part) for parts in panels for name, part in parts.items() if name not in COLOURED_NOT]
     values = np.concatenate([quantity.of(part) for _, part in solid])
@@ -132,7 +133,7 @@ def bar_of(quantity: Quantity, panels: Iterable[Parts]) -> Bar:
     if quantity.of_stress:
         sizes, shares = np.concatenate([part.sizes for _, part in solid]), [1 - SHOWN_SHARE, SHOWN_SHARE]
         low, high = np.quantile(values, shares, weights=sizes, method="inverted_cdf")
-    low, high = min(float(low), 0.0), max(float(high), 0.0)
+    low, high = min(float(low), -min_size if quantity.colours is SIGNED else 0.0), max(float(high), min_size)
     if low == high:
         high = 1.0
     title, colours = quantity.title.replace(" [", f"{whose} ["), shades(quantity.colours, low, high)
@@ -207,10 +208,10 @@ def add_words(plotter: pv.Plotter, words: Mapping[str, FloatArray], height_mm: f
     return written
 
 
-def add_axes(plotter: pv.Plotter, viewport: tuple[float, float, float, float], colour: str = INK) -> None:
-    """Show the axes' directions in a part of a picture: left, lower, right and upper end, as fractions of it."""
+def add_axes(plotter: pv.Plotter, viewport: Sequence[float], colour: str = INK, letter: float = 0.24) -> None:
+    """Show axes in a part (left, lower, right, upper end) of a picture; letters are a fraction of that part high."""
     names = {f"{axis}label": axis for axis in "xyz"}
-    plotter.add_axes(line_width=3, color=colour, viewport=viewport, label_size=(0.4, 0.24), **names)
+    plotter.add_axes(line_width=3, color=colour, viewport=viewport, label_size=(letter / 0.6, letter), **names)
     plotter.renderer.axes_widget.SetZoom(1.4)
 
 
@@ -316,9 +317,9 @@ class DeformedPicture:
         for name, text in self._titles.items():
             text.input = name if share == 1 else f"{share:.0%} of {name}"
 
-    def recolour(self, panels: Mapping[str, Parts], quantity: Quantity, scale: float) -> Bar:
-        """Show the same bodies under other loads, coloured by a quantity from end to end; its bar."""
-        self._quantity, self._scale, bar = quantity, scale, bar_of(quantity, panels.values())
+    def recolour(self, panels: Mapping[str, Parts], quantity: Quantity, scale: float, min_size: float = 0.0) -> Bar:
+        """Show the same bodies under other loads, coloured by a quantity from end to end; its bar, as of `bar_of`."""
+        self._quantity, self._scale, bar = quantity, scale, bar_of(quantity, panels.values(), min_size)
         mapper = self.actors["pillars"].mapper
         mapper.lookup_table.apply_cmap(bar.colours, len(bar.colours))
         mapper.scalar_range = bar.low, bar.high

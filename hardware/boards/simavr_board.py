@@ -5,14 +5,11 @@ simulator`` builds. Whatever talks to a board talks to its `port`.
 """
 
 import json
-import os
 import shutil
-import stat
 import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -23,7 +20,6 @@ from common.errors import TriPillarError
 from common.storage import files
 
 FIRMWARE = Path(__file__).parents[1] / "firmware"  #: sources and Makefile of the firmware and of the simulated board
-PROGRAM = Path("out/firmware/simavr-board")  #: where ``make`` leaves it
 MCUS = ("atmega328p", "atmega2560")  #: of an Arduino Uno and an Arduino Mega
 PACKAGES = "make gcc gcc-avr binutils-avr libsimavr-dev libelf-dev avr-libc"
 CHIP_BITS = 10  #: of their converter
@@ -95,35 +91,21 @@ class SimavrBoard:
 
     Parameters
     ----------
-    elf, mcu, table : Path, str, Path
-        The firmware, one of `MCUS`, a file from `write_table`.
-    fast : bool
-        As fast as possible, rather than in real time. The board then waits for its reader, so nothing is lost.
     program : Path
         What ``make -C hardware/firmware simulator`` built.
-    options : sequence of str
+    elf, mcu, table : Path, str, Path
+        The firmware, one of `MCUS`, a file from `write_table`.
+    *options : str
         More of the program's options, as it lists them with ``--help``.
 
     Raises
     ------
-    SimavrError, UntrustedError
-        If the program is not built, does not start, or could have been written by others.
+    SimavrError
+        If the program is not built or does not start.
     """
 
-    def __init__(
-        self,
-        elf: Path,
-        mcu: str,
-        table: Path,
-        *,
-        fast: bool = False,
-        program: Path = PROGRAM,
-        options: Sequence[str] = (),
-    ) -> None:
-        require_own(program, program.parent)
-        command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent"]
-        command += [*(["--fast"] if fast else []), *options]
-        self._statistics: dict[str, Any] | None = None
+    def __init__(self, program: Path, elf: Path, mcu: str, table: Path, *options: str) -> None:
+        command = [str(program), "--elf", str(elf), "--mcu", mcu, "--table", str(table), "--with-parent", *options]
         self._messages = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - a pipe would fill up unread
         pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": self._messages}
         try:
@@ -135,7 +117,7 @@ class SimavrBoard:
             ) from error
         assert self.process.stdout is not None
         try:
-            self.port = self._answer(self.process.stdout.readline())["port"]  #: the serial port's path
+            self.port = self.answer(self.process.stdout.readline())["port"]  #: the serial port's path
         except BaseException:  # Ctrl-C as well: without __exit__, the board would run on
             self.__exit__()
             raise
@@ -147,80 +129,11 @@ class SimavrBoard:
         with self._messages, self.process:  # closes its output and waits
             self.process.terminate()  # does nothing if it has ended
 
-    def stop(self, at_once: bool = True) -> dict[str, Any]:
-        """Stop the board, or wait until it has by its option ``--seconds``, and give its statistics.
-
-        ``seconds`` and ``cycles`` of the board's time, ``bytes_sent`` and ``bytes_dropped`` for want of a reader,
-        ``bytes_received``, ``bytes_overrun`` of these that it lost, ``conversions``, ``bad_addresses`` (conversions of
-        no populated crossing), ``min_settle_us`` (least time from a new address to the sample) and ``max_lag_ms``
-        behind real time.
-        """
-        if self._statistics is None:
-            if at_once:
-                self.process.terminate()
-            self._statistics = self._answer(self.process.communicate()[0])
-        return self._statistics
-
-    def _answer(self, line: str) -> dict[str, Any]:
+    def answer(self, line: str) -> dict[str, Any]:
+        """What a line of the program says; `SimavrError` with its message where it has ended instead."""
         if line:
             return dict(json.loads(line))
         self.process.wait()
         self._messages.seek(0)
-        said = self._messages.read().strip().splitlines()
-        raise SimavrError(said[-1] if said else f"the simulated board ended with code {self.process.returncode}.")
-
-
-class UntrustedError(TriPillarError, PermissionError):
-    """Others can write what is about to be run; one line."""
-
-
-def require_own(place: Path, root: Path) -> None:
-    """Refuse files that another user owns or can change: `place`, all that lies in it, and each folder up to `root`.
-
-    Files of the superuser count as one's own. A group whose only member is the owner, as many systems give everybody,
-    is nobody else. Places that do not exist are passed over.
-
-    Raises
-    ------
-    UntrustedError
-        Naming the first such file, and how to mend it.
-    """
-    if sys.platform == "win32":
-        raise UntrustedError(f"{place}: its owner is not known on Windows, so it is not run.")
-    place, root = place.absolute(), root.absolute()
-    above = [place, *(folder for folder in place.parents if folder.is_relative_to(root))]
-    within = sorted(place.rglob("*")) if place.is_dir() and not place.is_symlink() else []
-    for path in [*reversed(above), *within]:
-        try:
-            status = path.lstat() if path.is_relative_to(place) else path.stat()
-        except FileNotFoundError:
-            continue
-        if status.st_uid not in (os.geteuid(), 0):
-            raise UntrustedError(f"{path} belongs to another user, so it is not run: {_MEND}")
-        if stat.S_ISLNK(status.st_mode):
-            raise UntrustedError(f"{path} is a link to another place, so it is not run: {_MEND}")
-        is_sticky = path in place.parents and status.st_mode & stat.S_ISVTX  # others can add to it, not replace
-        if not is_sticky and _is_open(status):
-            raise UntrustedError(f"{path} can be written by others, so what is in it is not run: {_MEND}")
-
-
-_MEND = "remove it, or set TRIPILLAR_CACHE to a folder that only you can write to."
-
-
-def _is_open(status: os.stat_result) -> bool:
-    """True if others than the owner can write to a file."""
-    return bool(status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not _is_private_group(status)))
-
-
-def _is_private_group(status: os.stat_result) -> bool:
-    """True if the group of a file is its owner's own, without other members."""
-    if sys.platform == "win32":
-        return False
-    import grp
-    import pwd
-
-    try:
-        owner, group = pwd.getpwuid(status.st_uid), grp.getgrgid(status.st_gid)
-    except KeyError:
-        return False
-    return owner.pw_gid == group.gr_gid and set(group.gr_mem) <= {owner.pw_name} and owner.pw_name == group.gr_name
+        lines = self._messages.read().strip().splitlines()
+        raise SimavrError(lines[-1] if lines else f"the simulated board ended with code {self.process.returncode}.")

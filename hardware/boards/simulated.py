@@ -4,12 +4,12 @@ A `Motion` is what the sensor goes through, a scripted press and slide. `run_boa
 simulated chip, or its frames from Python, on a pseudo-terminal.
 """
 
+import os
 import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import DesignError
-from common.storage.files import cache_folder, digest, write_text
+from common.quantity import Sound, positive, quantity
+from common.storage.files import scratch, write_text
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import OPEN_OHM, Imperfections
 from dataset.loads import PAPERS, displacements
@@ -37,7 +38,6 @@ from hardware.boards.simavr_board import (
     SimavrBoard,
     SimavrError,
     find_tools,
-    require_own,
     write_table,
 )
 from hardware.link.frames import Info
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 Kind = Literal["atmega328p", "atmega2560", "python"]
 STEP_S = 0.005  #: between two states of the sensor; a board reads 108 pillars in as much
 USUAL_HZ = 150  #: rate of the firmware
+PROGRAM = "simavr-board"  #: that runs it, as ``make`` names it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,19 +61,16 @@ class Motion:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressAndSlide:
+class PressAndSlide(Sound):
     """A round indenter comes down on one corner of the array, slides to the opposite one, and lifts."""
 
-    peak_mpa: float = PAPERS.middle_mpa  #: pressure under its middle; 0: the sensor rests
-    friction: float = 0.2  #: shear over pressure while it slides
-    width_mm: float = 15.0  #: standard deviation of its bell
-    seconds: float = 6.0  #: of one period: a sixth each at rest, coming down and lifting, half of it sliding
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.peak_mpa <= 10:
-            raise DesignError(f"peak_mpa={self.peak_mpa:g} must be from 0, at rest, to 10; the paper uses 1 to 5.")
-        if not 0 <= self.friction <= 1:
-            raise DesignError(f"friction={self.friction:g} must be from 0 to 1.")
+    peak_mpa: float = quantity(
+        PAPERS.middle_mpa, "pressure under its middle [MPa], 0 at rest; the paper uses 1 to 5", within=(0, 10)
+    )
+    friction: float = quantity(0.2, "shear over pressure while it slides", within=(0, 1))
+    width_mm: float = positive(15.0, "standard deviation of its bell [mm]")
+    #: a sixth each at rest, coming down and lifting, half of it sliding
+    seconds: float = positive(6.0, "one period [s]")
 
     def tractions(self, time_s: FloatArray, design: SensorDesign) -> FloatArray:
         """Traction on every pad at each time, (n,) -> (n, n_units, 3) [MPa]; z negative when pushing down."""
@@ -157,62 +155,51 @@ def usual_rate(n_crossings: int) -> int:
     return min(USUAL_HZ, fastest_hz(n_crossings))
 
 
-def firmware_built(info: Info, mcu: str = "atmega328p") -> Path:
-    """Folder with the firmware for a board that says `info`, and the simulator's program; made if need be.
+@cache  # so that what was asked for is not built again to be run
+def firmware_built(info: Info, mcu: str) -> dict[str, bytes]:
+    """The firmware of a board that says `info`, and the simulator's program, by the names of their files.
+
+    They are built in a folder of this process, in half a second of processor time: nothing that others put elsewhere is
+    ever run.
 
     Raises
     ------
     SimavrError
-        If a tool is missing or the build fails; says which, and why. If others can write to the cache.
+        If a tool is missing or the build fails; says which, and why.
     """
     if missing := find_tools():
         raise SimavrError(missing)
-    header = sensor_header(info.rows, info.cols, info.layout)
-    settings = {
-        "SCAN_MODE": int(info.scan_mode),
-        "SENSE_OHM": info.sense_ohm,
-        "RATE": info.rate_hz,
-        "SERIAL": info.serial,
-    }
-    cache = cache_folder().absolute()
-    folder = cache / f"firmware-{digest(str(FIRMWARE), settings, header)}"
-    sensor = Path(f"{folder}.h")
-    for place in (folder, sensor):
-        require_own(place, cache)
-    cache.mkdir(parents=True, exist_ok=True)
-    if not sensor.exists() or sensor.read_text(encoding="utf-8") != header:
-        write_text(header, sensor)
-    command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
-    with open(f"{folder}.lock", "w", encoding="utf-8") as lock:
-        if sys.platform != "win32":
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX)  # boards that are started together build it once
-        done = subprocess.run(
-            [*command, *(f"{name}={value}" for name, value in settings.items())],
-            capture_output=True,
-            encoding="utf-8",
-            errors="replace",
-            umask=0o077,
-        )
-    if done.returncode:
-        said = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
-        causes = [line.split("error:", 1)[1].strip() for line in said if "error:" in line]
-        raise SimavrError(f"the firmware does not build: {(causes or said)[0]}")
-    return folder
+    with scratch() as folder:
+        sensor = folder / "sensor.h"
+        write_text(sensor_header(info.rows, info.cols, info.layout), sensor)
+        command = ["make", "-C", str(FIRMWARE), "all", "simulator", f"OUT={folder}", f"SENSOR={sensor}", f"BOARD={mcu}"]
+        command += [f"SCAN_MODE={int(info.scan_mode)}", f"SENSE_OHM={info.sense_ohm}"]
+        command += [f"RATE={info.rate_hz}", f"SERIAL={info.serial}"]
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["make failed"]
+            causes = [line.split("error:", 1)[1].strip() for line in lines if "error:" in line]
+            raise SimavrError(f"the firmware does not build: {(causes or lines)[0]}")
+        if not os.access(folder / PROGRAM, os.X_OK):
+            raise SimavrError(
+                f"no program may run from {folder.parent}: set TMPDIR to a folder from which programs may."
+            )
+        return {name: (folder / name).read_bytes() for name in (PROGRAM, f"tripillar-{mcu}.elf")}
 
 
 def by_wire(counts: NDArray[np.integer], info: Info) -> NDArray[np.uint16]:
     """Counts (n, n_crossings) as what lies between each two wires, (n, row wires, column wires); `EMPTY` elsewhere."""
     row, column = crossings(info.rows, info.cols, info.layout).T
-    found = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
-    found[:, row, column] = counts
-    return found.astype(np.uint16)
+    table = np.full((len(counts), *wires(info.rows, info.cols, info.layout)), EMPTY)
+    table[:, row, column] = counts
+    return table.astype(np.uint16)
 
 
 @contextmanager
-def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], fast: bool = False) -> Iterator[Any]:
+def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], *options: str) -> Iterator[Any]:
     """Run a board whose sensor goes through counts (n, n_crossings), a step each `STEP_S`, over and over.
+
+    Options are those of `SimavrBoard`.
 
     Raises
     ------
@@ -227,10 +214,11 @@ def run_board(kind: Kind, info: Info, counts: NDArray[np.int64], fast: bool = Fa
         return
     if info.bits != CHIP_BITS:
         raise DesignError(f"bits={info.bits}, but the chip's converter has {CHIP_BITS}: simulate with --board python.")
-    built = firmware_built(info, kind)
-    with tempfile.TemporaryDirectory(prefix="tripillar-") as folder:
-        table = Path(folder) / "table"
+    with scratch() as folder:
+        for name, content in firmware_built(info, kind).items():
+            (folder / name).write_bytes(content)
+        program, elf, table = (folder / name for name in (PROGRAM, f"tripillar-{kind}.elf", "table"))
+        program.chmod(0o700)
         write_table(table, by_wire(counts, info), step_us=round(STEP_S * 1e6))
-        elf, program = built / f"tripillar-{kind}.elf", built / "simavr-board"
-        with SimavrBoard(elf, kind, table, fast=fast, program=program) as chip:
+        with SimavrBoard(program, elf, kind, table, *options) as chip:
             yield chip

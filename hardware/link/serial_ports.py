@@ -89,11 +89,15 @@ def open_port(url: str, baud: int = BAUD) -> Port:
         elif url.startswith(_SOCKET):
             cause = f"no connection ({fault}): give socket://HOST:PORT of a running server."
         elif code == errno.ENOENT:
-            there = ", ".join(sorted(port.device for port in comports())) or "none"
-            cause = f"no such port; there are: {there}. Plug the board in, or name another."
+            cause = f"{no_such_port()}. Plug the board in, or name another."
         else:
             cause = _ADVICE.get(code, f"no serial port ({fault}): name a device as {EXAMPLE}, or socket://HOST:PORT.")
         raise PortError(f"{url}: {cause}") from fault
+
+
+def no_such_port() -> str:
+    """In words that there is no such port, and which there are."""
+    return f"no such port; there are: {', '.join(sorted(port.device for port in comports())) or 'none'}"
 
 
 class _SocketPort(protocol_socket.Serial):

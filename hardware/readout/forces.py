@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -34,15 +35,11 @@ if TYPE_CHECKING:
     from decoupler.rubber.belief import SensorFilter
 
 CHUNK_FRAMES = 2048  #: frames worked on together
-Told = Callable[[int], Any]
+Progress = Callable[[int], Any]
 BYTES_A_COUNT = 48  #: of memory that the forces of a recording take, a count of its frames
 NAMED = 3  #: pillars left out that are named in a line
 LOOKED_S = 1.0  #: from one window that is looked at for faults, which takes as long as 50 scans, to the next
-#: values of `Forces` by scans
-BY_SCAN = (
-    *("force_n", "moment_nmm", "moment_deviation_nmm", "contacts", "resistance_ohm", "saturated", "left_out"),
-    *("memory_rise", "memory_deviation", "memory_tested", "time_s", "stamp_ns", "device_us", "sequence"),
-)
+OF_ALL_SCANS = ("model", "faults", "weights", "description")  #: values of `Forces` that are not by scan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,16 +71,18 @@ class Forces:
     description: SensorDescription = field(repr=False)  #: of what does not change from scan to scan
 
     def __getitem__(self, which: int | slice) -> "Forces":
-        """Forces of some scans; what is known of deviations and net load goes along."""
-        given = {name: values[which] for name in BY_SCAN if (values := getattr(self, name)) is not None}
-        known = vars(self).get("deviations", self.stated)
-        stated: Any = known and tuple(None if each is None else each[which] for each in known)
-        tested: Any = self.tested and tuple(each[which] for each in self.tested)
-        some = replace(self, **given, stated=stated, tested=tested)
-        if "wrench" in vars(self):
-            found: Any = {name: None if each is None else each[which] for name, each in vars(self.wrench).items()}
-            vars(some)["wrench"] = Wrench(**found)
-        return some
+        """Forces of some scans; what has been computed of all goes along, such as deviations and net load."""
+
+        def some(values: Any) -> Any:
+            if isinstance(values, Wrench):
+                return Wrench(**{name: some(each) for name, each in vars(values).items()})
+            return (
+                tuple(map(some, values)) if isinstance(values, tuple) else values if values is None else values[which]
+            )
+
+        chosen = copy(self)
+        vars(chosen).update({name: some(each) for name, each in vars(self).items() if name not in OF_ALL_SCANS})
+        return chosen
 
     @cached_property
     def deviations(self) -> tuple[FloatArray | None, FloatArray | None]:
@@ -125,8 +124,8 @@ class Forces:
         if self.tested is not None or self.model is None:
             return self.tested
         ohms = self._decoded_ohm
-        found = self.model.consistency(ohms, self.force_n.reshape(len(ohms), *self.force_n.shape[-3:]))
-        return found and (found[0].reshape(self.force_n.shape[:-3]), found[1].reshape(self.force_n.shape[:-3]))
+        tested = self.model.consistency(ohms, self.force_n.reshape(len(ohms), *self.force_n.shape[-3:]))
+        return tested and (tested[0].reshape(self.force_n.shape[:-3]), tested[1].reshape(self.force_n.shape[:-3]))
 
     @property
     def chi2(self) -> FloatArray | None:
@@ -144,8 +143,8 @@ class Forces:
     def unreliable(self) -> NDArray[np.bool_]:
         """Which scans have lost so many readings that their forces are not to be relied on, (n,)."""
         lost = self.left_out.reshape(-1, *self.left_out.shape[-3:])
-        found = np.zeros(len(lost), dtype=bool) if self.model is None else self.model.unreliable(lost)
-        return found.reshape(self.force_n.shape[:-3])
+        flags = np.zeros(len(lost), dtype=bool) if self.model is None else self.model.unreliable(lost)
+        return flags.reshape(self.force_n.shape[:-3])
 
     def named_out(self) -> list[tuple[int, int, str]]:
         """Row, column and name of each pillar that is left out of any of the scans."""
@@ -269,7 +268,7 @@ class ForceReader:
         readings, saturated = self.crossbar.fractions(counts)
         return self._invert(readings), self.crossbar.as_pillars(saturated)
 
-    def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None, progress: Told = id) -> Forces:
+    def forces(self, counts: NDArray[Any], seconds: FloatArray | None = None, progress: Progress = id) -> Forces:
         """Forces of n scans from their counts, (n, n_crossings), in the order of `geometry.wiring.crossings`.
 
         A rubber that remembers is followed over `seconds` (n,), each since the scan before; 0 each by default.
@@ -331,15 +330,15 @@ class LiveSensor:
 
         Deviations up to `renewed_s` old [s] are kept rather than computed anew, for who asks for those of every scan.
         """
-        found = self._reader.forces(scan.frame.counts[None], np.array([self._since_last(scan)]))
+        scans = self._reader.forces(scan.frame.counts[None], np.array([self._since_last(scan)]))
         test = self._reader.fault_test
         if test is not None and scan.received_s >= self._look_s:
-            self._window.append(found.resistance_ohm[0])
+            self._window.append(scans.resistance_ohm[0])
             if len(self._window) == test.window:
                 self._faults = {str(fault): 1 for fault in test.named(np.stack(self._window))}
                 self._window, self._look_s = [], scan.received_s + LOOKED_S
         forces = replace(
-            found[0],
+            scans[0],
             time_s=np.float64(scan.time_s),
             stamp_ns=np.int64(scan.stamp_ns),
             device_us=np.uint32(scan.frame.device_us),
@@ -370,7 +369,7 @@ def replay(
     calibration: SensorCalibration | None = None,
     crosstalk: bool = True,
     causal: "SensorFilter | None" = None,
-    progress: Told = id,
+    progress: Progress = id,
 ) -> Forces:
     """Forces of every frame of a recording; a `FileFormatError` if memory is too small for them.
 
@@ -382,11 +381,11 @@ def replay(
     if calibration is None and recording.calibration:
         calibration = SensorCalibration.from_json(recording.calibration, "the recording's calibration")
     reader = ForceReader(recording.info, model.follower(), calibration, crosstalk, causal)
-    found = reader.forces(recording.counts, np.diff(recording.time_s, prepend=recording.time_s[:1]), progress)
+    forces = reader.forces(recording.counts, np.diff(recording.time_s, prepend=recording.time_s[:1]), progress)
     return replace(
-        found,
+        forces,
         time_s=recording.time_s,
         device_us=recording.device_us,
         sequence=recording.sequence,
-        faults={} if reader.fault_test is None else reader.fault_test.named_in(found.resistance_ohm),
+        faults={} if reader.fault_test is None else reader.fault_test.named_in(forces.resistance_ohm),
     )

@@ -21,11 +21,13 @@ from typing import IO, Any, Self
 
 import numpy as np
 from cobs import cobs
+from numpy.typing import NDArray
 
 from common.bounded import require_memory, require_regular
 from common.errors import FileFormatError, TriPillarError
 from common.storage.files import FULL, require_file, uninterrupted
 from common.storage.text_file import why_unreadable
+from geometry.layout import FloatArray
 from hardware.link.frames import PROTOCOL, Frame, Info, ScanMode, Statistics, pack, packed_dtype, unpack
 from hardware.link.lines import RANGES, LineDecoder, counted, ranged
 from hardware.recording.recorded import MADE_FROM, Header, Recording, is_restart, read_header, unwrapped_s
@@ -40,6 +42,7 @@ _MAX_UNIX_S = 1e10  # beyond, nanoseconds do not fit the 64 bits that MCAP has f
 _TIME = struct.Struct("<d")
 _NO_TIME = _TIME.pack(np.nan)
 _AROUND = packed_dtype(0).itemsize  # bytes of a packed frame beside its counts
+OF_FRAMES = ("counts", "sequence", "device_us", "flags", "overruns")  #: what a recording keeps of each
 _FROM_THE_RECEIVER = ("bad_cobs", "bad_crc", "bad_form", "repeated", "foreign")
 
 
@@ -83,7 +86,6 @@ class Recorder:
         self.header = Header(info=info, calibration=calibration, made_from=made_from or {})
         self.frames = 0  #: recorded so far
         self._runs = 0
-        self._file = -1
         is_there = self.path.exists()
         if is_there and not append:
             raise FileFormatError(f"{path}: the file exists: give another name, or continue it by --append.")
@@ -91,22 +93,21 @@ class Recorder:
             self._require_same_header()
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_APPEND | (0 if is_there else os.O_CREAT | os.O_EXCL)
-            self._file = os.open(self.path, flags | getattr(os, "O_BINARY", 0), 0o666)
+            self._file = self.path.open("ab" if is_there else "xb", buffering=0)
             self._write(2 * self._session("append" if is_there else "start"))  # twice: one damaged header costs nothing
         except OSError as error:
-            is_made = self._file >= 0 and not is_there
-            self._close()
-            if is_made:
-                self.path.unlink(missing_ok=True)
-            kept = "; the recording is as it was" if is_there else ""
+            if "_file" in vars(self):
+                self.close()
+                if not is_there:
+                    self.path.unlink()
+            unchanged = "; the recording is as it was" if is_there else ""
             raise RecordingError(
-                f"{path}: {_reason(error)}{kept}: give a file on a disk that has room and can be written."
+                f"{path}: {_reason(error)}{unchanged}: give a file on a disk that has room and can be written."
             ) from None
 
     def append(self, frame: Frame, received_s: float) -> None:
         """Add a frame, with the host's Unix time of its arrival [s]."""
-        if self._file < 0:
+        if self._file.closed:
             raise RecordingError(f"{self.path}: the recorder is closed: make a new one, with append to continue.")
         if not 0 <= received_s < _MAX_UNIX_S:
             raise ValueError(
@@ -122,10 +123,10 @@ class Recorder:
 
     def close(self, statistics: Statistics | None = None) -> None:
         """Write the statistics of who received the frames, if they are given, and close; again, it does nothing."""
-        if self._file >= 0:
-            if statistics is not None:
-                self._write_or_end(_record(_END, json.dumps(asdict(statistics)).encode()))
-            self._close()
+        if statistics is not None and not self._file.closed:
+            self._write_or_end(_record(_END, json.dumps(asdict(statistics)).encode()))
+        with suppress(OSError):
+            self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -142,7 +143,7 @@ class Recorder:
         try:
             self._write(data)
         except OSError as error:
-            self._close()
+            self.close()
             raise RecordingError(
                 f"{self.path}: {_reason(error)}: recording ended, all {self.frames} frames up to here are kept: "
                 "make room or take another disk."
@@ -151,20 +152,14 @@ class Recorder:
     def _write(self, data: bytes) -> None:
         """Append some bytes; on failure none of them is left."""
         with uninterrupted():
-            start = os.fstat(self._file).st_size
+            start = self._file.seek(0, os.SEEK_END)
             try:
                 while data:
-                    data = data[os.write(self._file, data) :]  # a disk that gets full takes a part of them first
+                    data = data[self._file.write(data) :]  # a disk that gets full takes a part of them first
             except OSError:
                 with suppress(OSError):
-                    os.ftruncate(self._file, start)
+                    self._file.truncate(start)
                 raise
-
-    def _close(self) -> None:
-        if self._file >= 0:
-            with suppress(OSError):
-                os.close(self._file)
-            self._file = -1
 
     def _require_same_header(self) -> None:
         with self.path.open("rb") as file:
@@ -251,22 +246,12 @@ def _read_lines(file: IO[bytes], stated: Info, source: str) -> Recording:
             "another unit, here and in training, such as mS for S."
         )
     info, n = ranged(stated, numbers), len(numbers)
-    counts, is_bound = counted(info, numbers)
-    device_us = (np.rint(1e6 * clock).astype(np.int64) % 2**32).astype(np.uint32)
-    sequence, run = (np.arange(n) % 2**16).astype(np.uint16), np.zeros(n, np.uint32)
-    run[1:] = np.cumsum(is_restart(sequence, device_us))
-    return Recording(
-        info=info,
-        counts=counts,
-        sequence=sequence,
-        device_us=device_us,
-        flags=(is_bound | info.scan_mode << 1).astype(np.uint8),
-        overruns=np.zeros(n, np.uint8),
-        run=run,
-        received_s=None,
-        time_s=unwrapped_s(device_us, run, None),
-        statistics=Statistics(ok=n, info=1, bad_form=decoder.statistics.bad_form + len(matrices) - n),
-    )
+    columns = np.zeros(n, packed_dtype(info.n_crossings))
+    columns["counts"], is_bound = counted(info, numbers)
+    columns["flags"], columns["sequence"] = is_bound | info.scan_mode << 1, np.arange(n) % 2**16
+    columns["device_us"] = np.rint(1e6 * clock).astype(np.int64) % 2**32
+    counts = Counter({"ok": n, "bad_form": decoder.statistics.bad_form + len(matrices) - n})
+    return _recorded(Header(info=info), columns, np.zeros(n, np.uint32), None, counts)
 
 
 def parse_recording(stream: bytes, source: str = "recording") -> Recording:
@@ -314,33 +299,37 @@ def _read(file: IO[bytes], source: str) -> Recording:
     columns = np.frombuffer(rows, dtype)
     arrivals = columns["received_s"].astype(np.float64)
     received_s = None if np.isnan(arrivals).any() else arrivals
-    sequence, device_us, began = columns["sequence"], columns["device_us"], np.frombuffer(runs, "<u4")
+    began, places = np.frombuffer(runs, "<u4"), tuple(damaged_at)
+    return _recorded(header, columns, began, received_s, counted, truncated_bytes=truncated_bytes, damaged_at=places)
+
+
+def _recorded(
+    header: Header,
+    columns: NDArray[np.void],
+    began: NDArray[np.uint32],
+    received_s: FloatArray | None,
+    counts: Counter[str],
+    **more: Any,
+) -> Recording:
+    """A recording of frames as columns, which began anew where `began` (n,) counts up; with what was counted."""
+    sequence, device_us = columns["sequence"], columns["device_us"]
     restart = is_restart(sequence, device_us) & (np.diff(began) == 0)
-    in_run = np.concatenate([[0], np.cumsum(restart | (np.diff(began) != 0))]).astype(np.uint32)
-    missing = (np.diff(sequence) - np.uint16(1))[np.diff(in_run) == 0]
-    counted.update({"restarts": int(restart.sum()), "lost": int(missing.sum()), "info": 1})
+    run = np.concatenate([[0], np.cumsum(restart | (np.diff(began) != 0))]).astype(np.uint32)
+    missing = (np.diff(sequence) - np.uint16(1))[np.diff(run) == 0]
+    counts.update({"restarts": int(restart.sum()), "lost": int(missing.sum()), "info": 1})
+    native: dict[str, Any] = {name: columns[name].astype(columns[name].dtype.newbyteorder("=")) for name in OF_FRAMES}
+    time_s, statistics = unwrapped_s(device_us, run, received_s), Statistics(**counts)
     return Recording(
-        **vars(header),
-        counts=columns["counts"].astype(np.uint16),
-        sequence=sequence.astype(np.uint16),
-        device_us=device_us.astype(np.uint32),
-        flags=columns["flags"].astype(np.uint8),
-        overruns=columns["overruns"].astype(np.uint8),
-        run=in_run,
-        received_s=received_s,
-        time_s=unwrapped_s(device_us, in_run, received_s),
-        statistics=Statistics(**counted),
-        truncated_bytes=truncated_bytes,
-        damaged_at=tuple(damaged_at),
+        **vars(header), **native, run=run, received_s=received_s, time_s=time_s, statistics=statistics, **more
     )
 
 
 def _common_header(stated: list[Header], n: int, size: int, source: str) -> Header:
     """The header that all sessions and INFO frames agree on."""
     if not stated:
-        found = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
+        lack = f"{n} data frames but no INFO frame of protocol {PROTOCOL}, which says what the counts mean"
         raise FileFormatError(
-            f"{source}: {found if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
+            f"{source}: {lack if n else f'no valid frame in {size} bytes'}: give a recording, made at the right baud "
             "rate, with the answer to '?' first; of a log of plain numbers, rows= and cols= of them."
         )
     if not n:

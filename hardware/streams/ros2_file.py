@@ -3,9 +3,10 @@
 `msg/` holds the definitions of the messages, for a ROS package of the name `PACKAGE`.
 """
 
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -48,16 +49,16 @@ def definition(name: str) -> str:
 class Ros2Writer:
     """Writes the description of a sensor and then a message a scan into an open file, until closed.
 
-    A message's log time is the scan's stamp. `DesignError` if nobody knows where the pads are, `MissingPackageError`
-    without the package.
+    A message's log time is the scan's stamp; behind each scan `require` may refuse to go on. `DesignError` if nobody
+    knows where the pads are, `MissingPackageError` without the package.
     """
 
-    def __init__(self, file: Any, sensor: SensorDescription) -> None:
+    def __init__(self, file: Any, sensor: SensorDescription, require: Callable[[], None] = lambda: None) -> None:
         with needing("MCAP", "mcap"):
             from mcap.writer import Writer
             from mcap_ros2._dynamic import serialize_dynamic  # its own writer has no way to state what is latched
         sensor.require_positions()
-        self._sensor, self._is_first = sensor, True
+        self._sensor, self._require, self._is_first = sensor, require, True
         self._writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="tripillar")
         self._channels = {}
@@ -75,6 +76,7 @@ class Ros2Writer:
             self._is_first = False
             self._write(SHAPE, shape_message(self._sensor, stamp_ns), stamp_ns)
         self._write(FRAMES, frame_message(scan), stamp_ns)
+        self._require()
 
     def close(self) -> None:
         """Write the index; the file itself stays open."""
@@ -85,27 +87,12 @@ class Ros2Writer:
         self._writer.add_message(channel, stamp_ns, encode(content), stamp_ns, content.get("sequence", 0))
 
 
-class Ros2Stream:
-    """Writes the forces of scans into a new file as they come; all else is as of `Stream`."""
-
-    def __init__(self, sensor: SensorDescription, path: Path) -> None:
-        self._sensor, self._path, self._open = sensor, path, ExitStack()
-
-    def __enter__(self) -> Self:
-        with ExitStack() as opened:
-            make_file(self._path)
-            self._writer = Ros2Writer(opened.enter_context(self._path.open("wb")), self._sensor)
-            opened.callback(self._writer.close)
-            self._open = opened.pop_all()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._open.close()
-
-    def add(self, scan: Forces) -> None:
-        """Write those of one scan."""
-        self._writer.add(scan)
-        require_room(self._path)
+@contextmanager
+def ros2_stream(sensor: SensorDescription, path: Path) -> Iterator[Ros2Writer]:
+    """Write the forces of scans into a new file as they come, as long as the with block lasts; a `Stream`."""
+    make_file(path)
+    with path.open("wb") as file, closing(Ros2Writer(file, sensor, lambda: require_room(path))) as writer:
+        yield writer
 
 
 def shape_message(sensor: SensorDescription, stamp_ns: int) -> dict[str, Any]:
@@ -154,15 +141,15 @@ def frame_message(scan: Forces) -> dict[str, Any]:
     }
 
 
-def _contact(found: Any) -> dict[str, Any]:
+def _contact(contact: Any) -> dict[str, Any]:
     """One contact as a TactileContact."""
     lengths = {
-        "center": found.centre_mm, "center_deviation": found.centre_deviation_mm,
-        "half_size": found.half_mm, "half_size_deviation": found.half_deviation_mm,
+        "center": contact.centre_mm, "center_deviation": contact.centre_deviation_mm,
+        "half_size": contact.half_mm, "half_size_deviation": contact.half_deviation_mm,
     }  # fmt: skip
     return {
-        "force": _vector(SIGNS * found.force_n),
-        "force_deviation": _vector(found.force_deviation_n),
+        "force": _vector(SIGNS * contact.force_n),
+        "force_deviation": _vector(contact.force_deviation_n),
         **{name: _vector(np.append(1e-3 * values, 0.0)) for name, values in lengths.items()},
     }
 

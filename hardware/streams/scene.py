@@ -25,8 +25,8 @@ def colours(shares: FloatArray) -> NDArray[np.uint8]:
     [[13, 8, 135], [204, 71, 120], [240, 249, 33]]
     """
     places = np.linspace(0.0, 1.0, len(HOT))
-    found = np.stack([np.interp(shares, places, each) for each in np.transpose(HOT)], axis=1)
-    return found.round().astype(np.uint8)
+    channels = np.stack([np.interp(shares, places, each) for each in np.transpose(HOT)], axis=1)
+    return channels.round().astype(np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ def scene_of(scan: Forces) -> Scene:
     per_newton_m = LONGEST * pad_m / sensor.full_scale_n
     net = [] if np.isnan(scan.wrench.centre_mm).any() else [np.nan_to_num(scan.wrench.vector_n)]
     tips = [np.append(1e-3 * scan.wrench.centre_mm, 0.0)] * len(net)
-    flat_m, found = PAD_HEIGHT * pad_m, scan.contacts or ()
+    flat_m, contacts = PAD_HEIGHT * pad_m, scan.contacts or ()
     return Scene(
         pad_m=pad_m,
         places_m=places_m,
@@ -61,8 +61,8 @@ def scene_of(scan: Forces) -> Scene:
         arrows_m=vectors * per_newton_m,
         net_arrow_m=np.reshape(net, (-1, 3)) * per_newton_m / math.sqrt(len(vectors)),
         net_tip_m=np.reshape(tips, (-1, 3)),
-        contact_centres_m=np.reshape([[*1e-3 * each.centre_mm, 0.0] for each in found], (-1, 3)),
-        contact_halves_m=np.reshape([[*1e-3 * each.half_mm, flat_m] for each in found], (-1, 3)),
+        contact_centres_m=np.reshape([[*1e-3 * each.centre_mm, 0.0] for each in contacts], (-1, 3)),
+        contact_halves_m=np.reshape([[*1e-3 * each.half_mm, flat_m] for each in contacts], (-1, 3)),
     )
 
 
@@ -74,6 +74,6 @@ def turns_from_x(vectors: FloatArray) -> FloatArray:
     """
     length = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
     x, y, z = (vectors / length).T
-    found = np.stack([np.zeros_like(x), -z, y, 1.0 + x], axis=1)  # half way between the x axis and the vector
-    found[1.0 + x < 1e-9] = [0.0, 0.0, 1.0, 0.0]  # straight back
-    return found / np.linalg.norm(found, axis=1, keepdims=True) + 0.0
+    quaternions = np.stack([np.zeros_like(x), -z, y, 1.0 + x], axis=1)  # half way between the x axis and the vector
+    quaternions[1.0 + x < 1e-9] = [0.0, 0.0, 1.0, 0.0]  # straight back
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True) + 0.0

@@ -40,10 +40,10 @@ def host_and_port(text: str, port: int) -> tuple[str, int]:
     (('0.0.0.0', 9000), ('::1', 8765))
     """
     try:
-        found = urlsplit(f"//{text}")
-        if not found.hostname or found.netloc != text or text.endswith(":"):
+        address = urlsplit(f"//{text}")
+        if not address.hostname or address.netloc != text or text.endswith(":"):
             raise ValueError(text)
-        return found.hostname, port if found.port is None else found.port
+        return address.hostname, port if address.port is None else address.port
     except ValueError:
         raise DesignError(f"{text!r} is no address: give HOST:PORT, such as {LOOPBACK}:{port}.") from None
 

@@ -53,8 +53,8 @@ def wrench_content(net: Mapping[str, FloatArray]) -> dict[str, Any]:
 
     Along an axis that the model does not give, null; what there is not, such as a centre of no pressure, empty.
 
-    >>> found = wrench_content({"net_force_n": np.array([np.nan, 1 / 3]), "centre_of_pressure_mm": np.full(2, np.nan)})
-    >>> found["net_force_n"], found["centre_of_pressure_mm"], found["net_moment_nmm"]
+    >>> wrench = wrench_content({"net_force_n": np.array([np.nan, 1 / 3]), "centre_of_pressure_mm": np.full(2, np.nan)})
+    >>> wrench["net_force_n"], wrench["centre_of_pressure_mm"], wrench["net_moment_nmm"]
     ([None, 0.333333], [], [])
     """
     there = {name: values for name, values in net.items() if not np.isnan(values).all()}

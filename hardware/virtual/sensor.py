@@ -38,8 +38,7 @@ from hardware.readout.crossbar import Corrector, Crossbar
 from hardware.readout.crossbar_readout import seen_by
 from hardware.readout.wrench import pad_positions
 from hardware.virtual.rubber import RubberState
-from hardware.virtual.steps import rounded, shares
-from hardware.virtual.strained import StrainedSensor
+from hardware.virtual.steps import StrainedSensor, rounded, shares
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -190,10 +189,10 @@ class VirtualSensor:
             self._forward = self._shape = StrainedSensor(strained.forward, self._like)
         elif decoder is None:
             solved = self._designed(response)
-            self._forward = in_torch(SensorModel.of(solved, COMPONENTS["all"]), self._like)
-            self._shape = self._forward  # whose lengths are the pillars' own
-            if solved.conducted is not None:
-                self._shape = in_torch(SensorModel.of(replace(solved, conducted=None), COMPONENTS["all"]), self._like)
+            as_bodies = replace(solved, conducted=None)  # whose lengths are the pillars' own
+            self._forward, self._shape = (
+                in_torch(SensorModel.of(each, COMPONENTS["all"]), self._like) for each in (solved, as_bodies)
+            )
         else:
             if gain_spread or offset_ohm:
                 raise ArgumentError("gain_spread, offset_ohm: a twin has its own gains and offsets: leave them out.")
@@ -307,7 +306,7 @@ class VirtualSensor:
 
     def strains(self, force_n: Tensor) -> Tensor:
         """Largest strain |l − l₀|/l₀ of any pillar, (e,); beyond 0.3 the linear model is not to be trusted."""
-        lengths = self._forward.lengths(force_n.reshape(self.environments, -1)).reshape(-1, *self._pillars)
+        lengths = self._shape.lengths(force_n.reshape(self.environments, -1)).reshape(-1, *self._pillars)
         return (lengths / self._like.new_tensor(rest_lengths(self.design.unit)) - 1.0).abs().amax(dim=(1, 2, 3))
 
     def read(self, resistance_ohm: Tensor) -> Tensor:

@@ -265,9 +265,11 @@ def test_digest_changes_with_every_field_and_value_but_not_with_their_order_and_
 
 
 def test_an_interrupt_waits_for_the_block_and_then_comes():
-    came, before = [], signal.signal(signal.SIGINT, lambda *_: came.append("came"))
+    came, taker = [], lambda *_: came.append("came")
+    before = signal.signal(signal.SIGINT, taker)
     try:
         with uninterrupted():
+            assert signal.getsignal(signal.SIGINT).before is taker  # as who ends what hangs asks
             signal.raise_signal(signal.SIGINT)
             came.append("finished")
         assert came == ["finished", "came"]

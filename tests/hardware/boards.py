@@ -11,7 +11,7 @@ import numpy as np
 from geometry.layout import LAYOUTS
 from geometry.wiring import crossings, fewest_wires
 from hardware.boards.python_board import CountedPort, a_frame
-from hardware.boards.simavr_board import EMPTY, FIRMWARE
+from hardware.boards.simavr_board import EMPTY, FIRMWARE, SimavrBoard
 from hardware.link.frames import Errors, FrameDecoder, Info, ScanMode, encode
 from hardware.link.protocols import PROTOCOLS
 from hardware.link.scanner import Link
@@ -180,6 +180,16 @@ class Bench(CountedPort):
             raise PortError("no such port, or in use")
         self._buffer.clear()  # the system's buffer went with the port
         return self
+
+
+class Chip(SimavrBoard):
+    """A simulated board that can be asked what it did."""
+
+    def stop(self, at_once=True):
+        """Stop it, or wait until it has by its option ``--seconds``; what its program then says."""
+        if at_once:
+            self.process.terminate()
+        return self.answer(self.process.communicate()[0])
 
 
 def build(folder, *arguments):

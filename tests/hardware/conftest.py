@@ -8,10 +8,10 @@ import pytest
 
 from dataset import measured
 from decoupler import NetworkConfig, TrainingConfig, train
-from hardware.boards.simavr_board import MCUS, SimavrBoard, find_tools, write_table
+from hardware.boards.simavr_board import MCUS, find_tools, write_table
 from hardware.readout.calibration import Electronics
 from tests.decoupler.synthetic_sensor import labelled, response, sensor
-from tests.hardware.boards import DISTINCT, build
+from tests.hardware.boards import DISTINCT, Chip, build
 from tests.hardware.models import INFO
 
 
@@ -28,14 +28,14 @@ def built(tmp_path_factory):
 
 @pytest.fixture
 def board(built, tmp_path):
-    """Starts boards that read a table of counts; DISTINCT unless told."""
+    """Starts boards that read a table of counts; DISTINCT unless told. "--fast" ones wait for their reader."""
 
-    def start(mcu=MCUS[0], counts=DISTINCT, step_us=1000, elf=None, table=None, **options):
+    def start(*options, mcu=MCUS[0], counts=DISTINCT, step_us=1000, elf=None, table=None):
         if table is None:
             table = tmp_path / "readings.table"
             write_table(table, counts, step_us)
         elf = elf or built / f"tripillar-{mcu}.elf"
-        return SimavrBoard(elf, mcu, table, program=built / "simavr-board", **options)
+        return Chip(built / "simavr-board", elf, mcu, table, *options)
 
     return start
 

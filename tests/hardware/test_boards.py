@@ -72,7 +72,7 @@ BOARDS = {
     "scripted": lambda chip: nullcontext(ScriptedPort(encode(INFO), *(a_wire(k) for k in range(N)))),
     "lines": lambda chip: nullcontext(a_mat()),
     "python on a terminal": lambda chip: on_a_terminal(PythonBoard(COUNTS, INFO)),
-    "chip on a terminal": lambda chip: on_a_terminal(chip("board")(fast=True)),
+    "chip on a terminal": lambda chip: on_a_terminal(chip("board")("--fast")),
 }
 
 

@@ -60,7 +60,7 @@ def test_known_forces_come_back_through_the_firmware(layout):
     counts = counts_over_time(np.repeat(exact_ohm, HOLD_STEPS, axis=0), crossbar, Imperfections())
     hold_us = 1e6 * HOLD_STEPS * STEP_S
     found = np.full((N_LOADS, 6, 6, 3), np.nan)
-    with run_board(MCUS[0], told, counts, fast=True) as board, Scanner(board.port, queue=10_000) as scanner:
+    with run_board(MCUS[0], told, counts, "--fast") as board, Scanner(board.port, queue=10_000) as scanner:
         reader = ForceReader(scanner.info, model)
         deadline = time.monotonic() + PATIENT_S
         for scan in scanner:

@@ -36,15 +36,15 @@ SETTLE_US = 30  # what scan.c promises the circuit
 
 
 @contextlib.contextmanager
-def heard(board, *mcu, **options):
+def heard(board, *options, **chip):
     """A board that runs, and who listens to it."""
-    with board(*mcu, **{"fast": True} | options) as running, listening(running) as listener:
+    with board(*options, **chip) as running, listening(running) as listener:
         yield running, listener
 
 
 @pytest.mark.parametrize("mcu", MCUS)
 def test_a_board_reads_every_crossing_on_time(board, mcu):
-    with heard(board, mcu) as (running, listener):
+    with heard(board, "--fast", mcu=mcu) as (running, listener):
         assert listener.ask(b"?") == CHIP
         listener.take_frames(300)
         statistics = running.stop()
@@ -69,7 +69,7 @@ def test_a_board_of_another_layout_reads_every_crossing_at_its_own_rate(board, t
     build(tmp_path, str(elf), f"SENSOR={tmp_path}/sensor.h")
     info = replace(CHIP, layout=layout, rate_hz=usual_rate(36 * len(layout.pillars)))
     counts = np.arange(1, info.n_crossings + 1)[None] * 3  # tells each crossing from all others
-    with heard(board, mcu, counts=by_wire(counts, info), elf=elf) as (running, listener):
+    with heard(board, "--fast", mcu=mcu, counts=by_wire(counts, info), elf=elf) as (running, listener):
         assert listener.ask(b"?") == info
         frames = listener.take_frames(3 + 100)[3:]  # answers cost a frame where memory holds one
         statistics = running.stop()
@@ -103,7 +103,7 @@ def test_all_counts_arrive_as_they_are_and_change_with_the_boards_time(board):
     step_us = 50_000
     counts = np.full((10, 12, 12), EMPTY)
     counts[:, ROW_WIRE, COLUMN_WIRE] = np.arange(10 * 108).reshape(10, 108) % 1024
-    with heard(board, counts=counts, step_us=step_us) as (_, listener):
+    with heard(board, "--fast", counts=counts, step_us=step_us) as (_, listener):
         frames = listener.take_frames(150)
     steps, places = np.divmod(starts_us(frames), step_us)
     # the table's time runs from the reset, the board's from when its timer starts, less than 1 ms later
@@ -117,12 +117,12 @@ def test_all_counts_arrive_as_they_are_and_change_with_the_boards_time(board):
 
 def test_in_real_time_nothing_is_lost_but_what_nobody_reads_and_the_board_does_not_run_ahead(board):
     before = time.monotonic()
-    with heard(board, fast=False) as (running, listener):
+    with heard(board) as (running, listener):
         frames = listener.take_frames(100)
         assert frames[-1].device_us * 1e-6 <= time.monotonic() - before
         statistics = running.stop()
     assert is_gapless(frames) or statistics["bytes_dropped"] > 0  # a busy machine reads late; the port holds 118 ms
-    with board(options=["--seconds", "0.8"]) as running:
+    with board("--seconds", "0.8") as running:
         statistics = running.stop(at_once=False)
     assert statistics["bytes_dropped"] > 0
     assert statistics["bytes_sent"] + statistics["bytes_dropped"] == pytest.approx(118 * 232, abs=232)
@@ -131,7 +131,7 @@ def test_in_real_time_nothing_is_lost_but_what_nobody_reads_and_the_board_does_n
 
 def test_rates(board):
     """176 Hz is the largest that a scan of 108 × 52 µs and its margin allow, and it costs no overrun."""
-    with heard(board) as (running, listener):
+    with heard(board, "--fast") as (running, listener):
         for rate in (100, 176, 30, 150):
             assert listener.ask(b"R%d\n" % rate).rate_hz == rate
             listener.take_frames(2)  # the one that was due, and the first of the new rate
@@ -152,7 +152,7 @@ def test_rates(board):
 
 def test_a_flood_of_commands_costs_neither_scans_nor_counts_nor_settling(board):
     """At 1 Mbaud without a pause, for 1 s: every scan is sent, at its time, and none at a rate nobody asked for."""
-    with heard(board, MCUS[1]) as (running, listener):
+    with heard(board, "--fast", mcu=MCUS[1]) as (running, listener):
         listener.ask(b"?")
         os.set_blocking(listener.port.fd, False)
         start = len(listener.frames)
@@ -171,7 +171,7 @@ def test_a_flood_of_commands_costs_neither_scans_nor_counts_nor_settling(board):
 
 def test_a_board_that_hangs_is_restarted_by_its_watchdog(board):
     """Within 2 s and the firmware's start; a chip's oscillator is worth 10 %, the simulated one is exact."""
-    with heard(board) as (running, listener):
+    with heard(board, "--fast") as (running, listener):
         assert listener.ask(b"!") == Errors(reset_cause=1 << 0)  # power
         last = listener.take_frames(10)[-1]
         running.process.send_signal(signal.SIGUSR2)
@@ -184,7 +184,7 @@ def test_a_board_that_hangs_is_restarted_by_its_watchdog(board):
 
 def test_damaged_bytes_are_counted_up_to_the_largest_number_and_make_no_command(board):
     """Every fifth byte has a wrong stop bit, which in R100 is the line feed or a digit."""
-    with heard(board, options=["--damage", "5"]) as (_, listener):
+    with heard(board, "--fast", "--damage", "5") as (_, listener):
         for _ in range(20):
             listener.port.write(b"R100\n")
             listener.take_frames(1)
@@ -204,7 +204,7 @@ def test_settings_make_another_firmware_and_the_same_none(built, board, tmp_path
     elf, target = (f"{tmp_path}/tripillar-{MCUS[0]}.{suffix}" for suffix in ("elf", "hex"))
     build(tmp_path, elf, target, *settings)
     info = replace(CHIP, serial=2**32 - 1, scan_mode=ScanMode.DIVIDER, sense_ohm=10_000, vref_mv=4950)
-    with heard(board, elf=Path(elf)) as (running, listener):
+    with heard(board, "--fast", elf=Path(elf)) as (running, listener):
         frames = listener.take_frames(700)
         assert listener.ask(b"?") == info  # though frames wait all the time
         running.process.send_signal(signal.SIGUSR1)  # the reset button

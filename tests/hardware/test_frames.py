@@ -43,7 +43,7 @@ def test_vectors_are_decoded_and_encoded(vector):
 
 def test_a_reader_made_from_the_page_reads_the_firmware(board):
     """A chip's bytes: each crossing's count in the order of the page, INFO and ERRORS between data frames."""
-    with board(fast=True) as running, serial.Serial(running.port, 1_000_000, timeout=5.0) as port:
+    with board("--fast") as running, serial.Serial(running.port, 1_000_000, timeout=5.0) as port:
         begun = port.read(10 * 232).partition(b"\0")[2]  # whoever opens a port may find half a frame
         port.write(b"?!")  # to a chip that sends: one that still starts may not hear it
         found = frames_in(begun + port.read(50 * 232))

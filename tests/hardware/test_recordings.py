@@ -1,11 +1,11 @@
 """A recording gives back all that was recorded; what is damaged is left out and named; what is none is refused."""
 
-import os
 import resource
 import signal
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from hardware.link.lines import LineDecoder, matrix_info
 from hardware.readout.calibration import Electronics
 from hardware.readout.crossbar import Corrector
 from hardware.recording import Recorder, RecordingError, parse_recording, read_recording
+from hardware.recording.recorded import Header
 from tests.hardware.boards import recording_from_resistances
 from tests.hardware.test_decoder import U8, U32, infos
 
@@ -205,9 +206,8 @@ HEAD = encode(BOARD)
 def test_what_is_no_recording_is_one_line(path, content, message, monkeypatch):
     other = path.with_name("other")
     if isinstance(content, dict):
-        plain = type(record_header := Recorder(other, INFO).header).plain
-        other.unlink()
-        monkeypatch.setattr(type(record_header), "plain", lambda self: plain(self) | content)
+        plain = Header.plain
+        monkeypatch.setattr(Header, "plain", lambda self: plain(self) | content)
         record(other, frames(3))
     elif content is not None:
         other.write_bytes(content)
@@ -260,16 +260,17 @@ def test_frames_of_another_board_and_times_that_are_none_leave_the_others(path):
 
 
 def test_ctrl_c_waits_for_the_frame_to_be_written(path, monkeypatch):
-    write = os.write
+    with Recorder(path, INFO) as recorder:
+        file = recorder._file
 
-    def interrupted(file, data):
-        signal.raise_signal(signal.SIGINT)
-        return write(file, data[:100])  # the rest is yet to be written
+        def interrupted(data):
+            signal.raise_signal(signal.SIGINT)
+            return file.write(data[:100])  # the rest is yet to be written
 
-    with Recorder(path, INFO) as recorder, monkeypatch.context() as patch:
-        patch.setattr("hardware.recording.frames_file.os.write", interrupted)
+        monkeypatch.setattr(recorder, "_file", SimpleNamespace(closed=False, seek=file.seek, write=interrupted))
         with pytest.raises(KeyboardInterrupt):
             recorder.append(frames(1)[0], 1.8e9)
+        monkeypatch.undo()
     assert_same(read_recording(path), frames(1), [1.8e9])
 
 

@@ -118,7 +118,7 @@ def test_live_gives_forces_scan_by_scan_from_a_board_or_a_recording(tmp_path):
     assert abs(read[-1].time_s - time.time()) < 60
 
 
-def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
+def test_a_port_that_is_about_to_appear_is_waited_for_and_that_is_said(tmp_path, monkeypatch, caplog):
     """And no other: not a recording's name, not a server's; nor for longer than said but where a board begins."""
     link, looked = tmp_path / "board", []
     monkeypatch.setattr(session, "APPEARS_S", 0.0)
@@ -127,11 +127,15 @@ def test_a_port_that_is_about_to_appear_is_waited_for(tmp_path, monkeypatch):
         monkeypatch.setattr(
             session.time, "sleep", lambda seconds: looked.append(seconds) or link.symlink_to(board.port)
         )
-        with session.connect(str(link)) as (scanner, _):
+        with session.connect(f"tripillar+{link}") as (scanner, _):
             assert scanner.info == INFO
+    assert [record.message.partition("; there are: ")[0] for record in caplog.records] == [f"{link}: no such port"]
     for port in (str(tmp_path), "missing.frames", "socket://127.0.0.1:9", "", str(tmp_path / "never")):
         session._await(port)
-    assert len(looked) == 1
+    monkeypatch.setattr(session, "APPEARS_S", 10.0)
+    for port in ("missing.frames", "socket://127.0.0.1:9", "", str(tmp_path / "no folder" / "never")):
+        session._await(port)
+    assert len(looked) == len(caplog.records) == 1
 
 
 def test_a_board_begins_as_soon_as_its_process_does(tmp_path, monkeypatch):

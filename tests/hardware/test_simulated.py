@@ -42,7 +42,10 @@ def test_a_board_sends_what_the_law_of_its_design_gives(law):
     given = replace(given, design=replace(given.design, electrics=Electrics(model=law)))
     motion = press_and_slide(given, PressAndSlide(seconds=0.5))
     sensor = VirtualSensor(given.design, response=given, environments=100)
-    assert motion.resistance_ohm == pytest.approx(sensor.resistances(torch.from_numpy(motion.force_n)).numpy())
+    force_n = torch.from_numpy(motion.force_n)
+    assert motion.resistance_ohm == pytest.approx(sensor.resistances(force_n).numpy())
+    plain = VirtualSensor(RESPONSE.design, response=RESPONSE, environments=100)
+    assert sensor.strains(force_n).numpy() == pytest.approx(plain.strains(force_n).numpy())  # of bodies, by any law
     rows, cols, _ = motion.resistance_ohm.shape[1:]
     wired = Crossbar.suited(ScanMode.DIVIDER, rows=rows, cols=cols, bits=16, shunt_siemens=shunts_of(given.design))
     alone = replace(wired, shunt_siemens=()).counts(motion.resistance_ohm[:1])[0]

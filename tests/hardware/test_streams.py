@@ -19,10 +19,9 @@ from common.errors import DesignError, MissingPackageError
 from hardware import live
 from hardware.boards.python_board import PythonBoard
 from hardware.readout.wrench import SIGNS
-from hardware.streams.foxglove_server import MAX_CLIENTS, MAX_WAITING
-from hardware.streams.foxglove_stream import FoxgloveStream
+from hardware.streams.foxglove_stream import MAX_CLIENTS, MAX_WAITING, FoxgloveStream
 from hardware.streams.rerun_stream import TIMELINE, RerunStream
-from hardware.streams.ros2_file import Ros2Stream
+from hardware.streams.ros2_file import ros2_stream
 from hardware.streams.scene import LONGEST
 from hardware.streams.stream import ROOM_BYTES, StreamError
 from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, RESISTANCES, SCENE, SENSOR, WRENCH
@@ -125,7 +124,7 @@ def test_rerun_holds_and_serves_what_was_sent(board, tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "stream_of"), [
-    ("mcap", Ros2Stream), ("rrd", lambda sensor, path: RerunStream(sensor, host=None, rrd=path)),
+    ("mcap", ros2_stream), ("rrd", lambda sensor, path: RerunStream(sensor, host=None, rrd=path)),
 ])  # fmt: skip
 def test_a_file_is_never_overwritten_and_ends_with_a_full_disk(board, tmp_path, kind, stream_of):
     """A limit on the size of files is a full disk."""
@@ -178,7 +177,7 @@ def test_a_client_of_foxglove_receives_what_was_sent(board):
         assert json.loads(client.recv())["op"] == "serverInfo"
         topics = {100 + channel["id"]: channel["topic"] for channel in json.loads(client.recv())["channels"]}
         client.send(subscribing(id - 100 for id in topics))
-        wait_for(lambda: stream._server.has_listeners(SCENE))
+        wait_for(lambda: stream.has_listeners(SCENE))
         for scan in sent[1:]:
             stream.add(scan)
         stream.__exit__(None, None, None)  # which waits until all is read
@@ -248,28 +247,28 @@ def frame_of(text):
 def test_clients_and_what_waits_for_them_are_bounded(board):
     """Who never reads costs no more than `MAX_WAITING` bytes, and the end waits for none of them."""
     with FoxgloveStream(board.description, port=0) as stream:
-        held, server = [handshake(stream.port) for _ in range(MAX_CLIENTS)], stream._server
-        wait_for(lambda: len(server._clients) == MAX_CLIENTS)
+        held = [handshake(stream.port) for _ in range(MAX_CLIENTS)]
+        wait_for(lambda: len(stream._clients) == MAX_CLIENTS)
         held.append(handshake(stream.port))
         assert [status for status, _ in held] == [101] * MAX_CLIENTS + [503]
         for _, connection in held[:MAX_CLIENTS]:
             for said in ("{", "[]", '{"op": "subscribe"}', '{"op": "subscribe", "subscriptions": [{}]}', '{"op": "?"}'):
                 connection.sendall(frame_of(said))
             connection.sendall(frame_of(subscribing(range(1000))))
-        wait_for(lambda: all(map(len, server._clients.values())))
-        assert all(len(subscribed) == 6 for subscribed in server._clients.values())
+        wait_for(lambda: all(map(len, stream._clients.values())))
+        assert all(len(subscribed) == 6 for subscribed in stream._clients.values())
         for k in range(200):
-            server.send(FORCES, k, bytes(100_000))  # more than the system takes for those who do not read
+            stream.send(FORCES, k, bytes(100_000))  # more than the system takes for those who do not read
         done = threading.Event()
-        server._loop.call_soon_threadsafe(done.set)
+        stream._loop.call_soon_threadsafe(done.set)
         assert done.wait(PATIENT_S)
-        waiting = [client.transport.get_write_buffer_size() for client in server._clients]
+        waiting = [client.transport.get_write_buffer_size() for client in stream._clients]
         assert MAX_WAITING <= max(waiting) < MAX_WAITING + 200_000
         every = list(range(100, 1100))
         held[0][1].sendall(frame_of(json.dumps({"op": "unsubscribe", "subscriptionIds": every})))
-        wait_for(lambda: not all(server._clients.values()))
+        wait_for(lambda: not all(stream._clients.values()))
         held[1][1].close()
-        wait_for(lambda: len(server._clients) < MAX_CLIENTS)
+        wait_for(lambda: len(stream._clients) < MAX_CLIENTS)
         held.append(handshake(stream.port))
         assert held[-1][0] == 101  # there is room again
     for _, connection in held:

@@ -28,7 +28,10 @@ EXTRAS = {
     "film": "view --save FILE.mp4",
     "sweep": "sweep, optimize",
     "export": "export to ONNX",
-    "mcap": "recordings as MCAP",
+    "mcap": "live and replay to MCAP, messages of ROS 2",
+    "foxglove": "live --foxglove",
+    "rerun": "live --rerun",
+    "simulators": "tp.VirtualSensor in MuJoCo and Gymnasium",
     "paper": "make paper",
     "bench": "make bench beside other programs",
 }

@@ -103,7 +103,7 @@ if TYPE_CHECKING:
     from hardware.streams.stream import LOOPBACK, Stream, host_and_port, listening_on, reachable, require_new
     from hardware.streams.files import convert, write_forces
     from hardware.streams.foxglove_stream import PORT as FOXGLOVE_PORT, FoxgloveStream
-    from hardware.streams.ros2_file import Ros2Stream
+    from hardware.streams.ros2_file import ros2_stream
     from hardware.streams.rerun_stream import PORT as RERUN_PORT, RerunStream
     from serial.tools.list_ports import comports
     from tripillar.doctor import Check

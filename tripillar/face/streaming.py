@@ -43,7 +43,7 @@ class AskedStreams:
                 streams.append(stack.enter_context(shown))
                 current().say(f"Foxglove: open ws://{host}:{shown.port}; {stages.reachable(host)}")
             if self.mcap is not None:
-                streams.append(stack.enter_context(stages.Ros2Stream(sensor, Path(self.mcap))))
+                streams.append(stack.enter_context(stages.ros2_stream(sensor, Path(self.mcap))))
             if (is_served := self.rerun or self.rerun_at is not None) or self.rrd is not None:
                 host, port = stages.host_and_port(self.rerun_at or stages.LOOPBACK, stages.RERUN_PORT)
                 file = None if self.rrd is None else Path(self.rrd)

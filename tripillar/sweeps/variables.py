@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, TypeGuard
+from typing import Any, Self
 
 from common.errors import DesignError
+from common.quantity import is_finite
 from common.storage.files import stated
 from common.storage.text_file import read_text, tables_of
 from geometry.design import PAD_KINDS, SensorDesign
@@ -71,10 +72,6 @@ CHOICES: dict[str, Callable[[str, Path], Table]] = {
 }  # fmt: skip
 
 
-def _is_number(given: Any) -> TypeGuard[float]:
-    return isinstance(given, int | float) and not isinstance(given, bool)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Variable:
     """A key, or several keys that take one value together, with a range or a list of values; or one of `CHOICES`."""
@@ -107,7 +104,7 @@ class Variable:
         if self.of in self.key:
             raise DesignError(f"{self.name} cannot be a share of itself: give another key as 'of'.")
         given = (*self.values, *(number for number in (self.low, self.high) if number is not None))
-        if not all(_is_number(number) and math.isfinite(number) for number in given):
+        if not all(map(is_finite, given)):
             raise DesignError(f"{self.name}: low, high and values must be finite numbers.")
         if not isinstance(self.log, bool):
             raise DesignError(f"{self.name}: log={self.log!r} must be true or false.")

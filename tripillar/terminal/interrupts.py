@@ -116,8 +116,8 @@ def _watch(heard: int) -> None:
         session = sys.modules.get("hardware.session")
         if handler is not _end:
             known += 1
-        elif session is not None and session.taken[0] > known:
-            known = session.taken[0]
+        elif session is not None and session.noted_signals[0] > known:
+            known = session.noted_signals[0]
         else:
             _end(number)
 

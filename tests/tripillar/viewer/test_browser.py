@@ -102,6 +102,7 @@ def test_a_load_is_set_shown_taken_away_and_put_back_also_over_a_lost_connection
         assert "the response's inverse" in page.inner_text("#decoupler")
         page.click("#reset")
         page.click("#by-pads")
+        api.expect(page.locator("#force-maps .map").first).to_contain_text("± 10 N")  # noise at rest stays pale
         at_rest = still_picture(page)
         pad.click()
         page.focus("#pressure input")

@@ -29,7 +29,7 @@ from tests.tripillar.viewer.conftest import DESIGN, a_feed, a_scan
 from tripillar.viewer.page import sensing
 from tripillar.viewer.page.page import Page
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import TITLES, ArrayScene
+from tripillar.viewer.page.scene import MIN_SHARE, TITLES, ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, moments, tractions
 
 SQUARE = SensorDesign(array=Array(rows=2, cols=2))
@@ -58,6 +58,20 @@ def test_moments_of_pressure_are_those_about_the_axes():
     """10 N pressed 2 mm along x and 3 mm along y turn about -x and +y; soft pads tell no torque."""
     assert moments(np.array([20.0, 30.0, 5.0])).tolist() == [-30.0, 20.0, 5.0]
     np.testing.assert_array_equal(moments(np.array([20.0, 30.0])), [-30.0, 20.0, np.nan])
+
+
+def test_noise_of_a_sensor_at_rest_stays_pale(subject):
+    """Colours span four half-widths of its forces, 16 of 720 N: 1 N along each axis takes less than half of them."""
+    rest = a_scan(force_n=np.ones((1, 2, 3)), deviation_n=np.full((1, 2, 3), 4.0))
+    page = Page(replace(subject, feed=a_feed(scan=rest)))
+    page.update()
+    share = page.scene.pillars["shown"].max() / (4 * 4.0 / 720 * page.scene.full_size("displacement"))
+    assert page._min_share(subject.sensor.follow(rest)) == pytest.approx(16 / 720)
+    assert page._facts()["least_n"] == 10.0
+    page._full_n = 7.2  # a soft sensor's
+    assert page._facts()["least_n"] == pytest.approx(0.144)
+    page.close()
+    assert share < 0.5
 
 
 def test_a_followed_sensor_says_how_sure_its_forces_and_moments_are(subject):
@@ -197,6 +211,8 @@ def test_colours_lie_between_the_ends_of_the_bar(scene, colour):
     for traction in (0.0 * TRACTION, TRACTION):
         legend = scene.show(traction, CHANGE, colour, 1.0, 0, is_dark=False)
         assert legend.low < legend.high
+        if not traction.any() and colour != "resistance":  # at rest colours span a share of the full scale
+            assert max(-legend.low, legend.high) == pytest.approx(MIN_SHARE * scene.full_size(colour))
     values = np.asarray(scene.pillars["shown"])
     assert np.isfinite(values).all()
     if colour in ("displacement", "vertical", "resistance"):  # stress has no bound at edges; its bar is cut

@@ -4,9 +4,9 @@ A browser's word is taken if a control can say it, and refused otherwise.
 """
 
 import math
-import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from reprlib import repr as shortened
 from typing import Any
 
 import numpy as np
@@ -122,15 +122,6 @@ def number(name: str, value: object, least: float, most: float) -> float:
     if not least <= value <= most:  # no NaN is
         raise ControlError(f"{name}={shortened(value)} must be from {least:g} to {most:g}.")
     return float(value)
-
-
-def shortened(value: object) -> str:
-    """A value as a message shows it, however long or deep it is.
-
-    >>> shortened("a" * 1000)
-    "'aaaaaaaaaaaa...aaaaaaaaaaaaa'"
-    """
-    return reprlib.repr(value)
 
 
 def traction_of(pressure_mpa: float, shear_mpa: float, angle_deg: float) -> FloatArray:

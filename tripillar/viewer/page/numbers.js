@@ -4,8 +4,11 @@
 export const AXES = ["x", "y", "z"];
 export const ARROWS = "→↗↑↖←↙↓↘";  // of shear, by eighths of a turn from +x
 export const MAPS = {
-  "resistance-maps": { titles: ({ pillars }) => pillars, name: "change_pct", unit: "%", digits: 1, least: 2 },
-  "force-maps": { titles: () => AXES.map(name => `F${name}`), name: "force_n", unit: "N", digits: 0, least: 10 },
+  "resistance-maps": { titles: ({ pillars }) => pillars, name: "change_pct", unit: "%", digits: () => 1, least: () => 2 },
+  "force-maps": {
+    titles: () => AXES.map(name => `F${name}`), name: "force_n", unit: "N",
+    digits: ({ least_n }) => (least_n < 1 ? 2 : 0), least: ({ least_n }) => least_n,
+  },
 };
 
 export function pillarTitles({ pillars }) {

@@ -160,8 +160,8 @@ function showNumbers() {
 
 // the strongest colour is of the largest value, but at least of `least`, so that noise at rest stays pale
 
-function showMaps(place, { titles, name, unit, digits, least }) {
-  const titled = titles(facts);
+function showMaps(place, { titles, name, unit, ...map }) {
+  const titled = titles(facts), digits = map.digits(facts), least = map.least(facts);
   fill(place, titled, "div", (element, title, which) => {
     const values = said[name].filter((_, at) => at % titled.length === which), most = Math.max(least, ...values.map(Math.abs));
     element.className = "map";

@@ -8,6 +8,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from reprlib import repr as shortened
 from typing import Any
 
 import numpy as np
@@ -23,19 +24,20 @@ from tripillar.viewer.page.controls import (
     controls_of,
     mapping,
     numbers_of,
-    shortened,
     sliders_of,
     taken,
     traction_of,
 )
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import ArrayScene
+from tripillar.viewer.page.scene import MIN_SHARE, ArrayScene
 from tripillar.viewer.page.sensing import PressedSensor, Reading, SensorFeed
 from tripillar.viewer.panels import beyond_linear
 
 LOAD_SLIDERS = "pressure", "shear", "angle"  #: of the chosen pad
 MAX_DRAWN = 1.0  #: strain of a pillar that is drawn; forces of a broken sensor would tear the array to pieces
 UNDRAWN = "drawn at rest: no pillar bears these forces"
+HALF_WIDTHS = 4.0  #: of a sensor's forces, that colours span at least
+MIN_FORCE_N = 10.0  #: that colours of the maps span at least, less of a sensor of less force
 CAP_PCT = 30  #: largest pillar strain of the datasets and of the paper
 MAX_A_SECOND = 200  #: messages that are read; a screen gives 60 moves of the mouse
 BURST_S = 1.0  #: worth of messages that are read at once after a silence
@@ -67,12 +69,13 @@ class Page:
         self._traction = np.zeros((self._design.n_units, 3))
         self._generator = np.random.default_rng(0)
         self._loads = loads_of(subject.sensor.response)
+        self._full_n = self._loads.normal_mpa[1] * self._design.pad.size_mm**2  # largest usual force on a pad
         self._kinds = controls_of(self._design, subject.feed is not None, self._loads)
         self.controls: dict[str, Any] = {name: kind.start for name, kind in self._kinds.items()}
         self._shown: dict[str, Any] = {"controls": {}}  # as the browser has it
         self._is_changed = asyncio.Event()
         self._is_changed.set()
-        self.scene = ArrayScene(subject.field)
+        self.scene = ArrayScene(subject.field, self._loads.normal_mpa[1])
         camera, self.pictures = self.scene.camera, Pictures(self.scene.plotter, self.scene.fit)
         #: what a browser can have done, without further words
         self.calls: dict[str, Callable[[], None]] = {"reset": self._reset, "home": self.scene.look_from_the_start}
@@ -159,6 +162,7 @@ class Page:
             "pads": self._design.pad.kind,
             "pillars": self._design.unit.layout.pillar_names,
             "cap": CAP_PCT,
+            "least_n": min(MIN_FORCE_N, MIN_SHARE * self._full_n),
             "friction": round(self._loads.friction, 3),
             "decoupler": self._subject.decoupler,
             "sensor": None if feed is None else feed.port,
@@ -225,8 +229,9 @@ class Page:
         self._traction, strain = reading.traction_mpa, float(reading.strain.max())
         is_drawn = strain <= MAX_DRAWN
         drawn = self._traction if is_drawn else 0.0 * self._traction
-        looks = (controls[name] for name in ("colour", "scale", "pad", "dark"))
-        bar = self.scene.show(drawn, reading.change, *looks)
+        looks = {"colour": "colour", "scale": "scale", "chosen": "pad", "is_dark": "dark"}
+        asked: dict[str, Any] = {name: controls[control] for name, control in looks.items()}
+        bar = self.scene.show(drawn, reading.change, **asked, min_share=self._min_share(reading))
         seconds = time.perf_counter() - start
         self.pictures.schedule_render(hurries=controls["source"] != "sensor")  # its scans never rest
         shown: dict[str, Any] = {
@@ -263,6 +268,12 @@ class Page:
         reading = sensor.read(self._traction, controls["noise"], self._generator)
         unknown = np.full_like(reading.applied_n, np.nan)
         return replace(reading, applied_n=unknown) if controls["source"] == "sensor" else reading
+
+    def _min_share(self, reading: Reading) -> float:
+        """Share of the full scale that colours span at least: some half-widths of a sensor's forces, if it has any."""
+        if reading.half_width_n is None or np.isnan(reading.half_width_n[..., 2]).all():
+            return MIN_SHARE
+        return max(MIN_SHARE, HALF_WIDTHS * float(np.nanmax(reading.half_width_n[..., 2])) / self._full_n)
 
     def _held(self, pressure: str, shear: str, angle: str) -> FloatArray:
         """The traction (3,) [MPa] of three sliders, within friction if the page asks for that."""

@@ -4,11 +4,13 @@ The scene moves a picture by the field under any load; `Camera` is turned by the
 """
 
 import math
+from functools import cache
 from typing import Literal
 
 import numpy as np
 import pyvista as pv
 
+from dataset.loads import PAPERS
 from fem.pictures.arrays import ArrayField
 from fem.pictures.deformation import (
     PAD_LIFT,
@@ -19,6 +21,7 @@ from fem.pictures.deformation import (
     Quantity,
     add_axes,
     add_words,
+    bar_of,
     place,
 )
 from fem.pictures.parts import COARSE, ArrayParts, Part
@@ -29,10 +32,12 @@ Shown = Colour | Literal["resistance"]
 RESISTANCE: Literal["resistance"] = "resistance"  #: the one colour of the page's own: of each pillar as a whole
 TITLES = {name: quantity.title for name, quantity in QUANTITIES.items()} | {RESISTANCE: "change of resistance [%]"}
 HAZE = {False: 0.18, True: 0.05}  #: opacity of the slab, which on a dark ground veils the pillars
-MAX_PRESSED_MPA = 5.0  #: traction at which a pad's outline is darkest
+MIN_SHARE = 0.02  #: of the full scale, that colours span at least, so that noise stays pale
+FULL_CHANGE_PCT = 60.0  #: full scale of a resistance: of a pillar that is strained by 30 %
 BACKGROUND = {False: "#ffffff", True: "#1f262d"}  #: by whether it is dark, as the page has it
 LETTERS = {False: "#21292f", True: "#e4e9ed"}
 AXES_INK, CORNER = "#7d8790", (0.0, 0.0, 0.14, 0.18)  #: of the axes, to be read on both, and their part of the picture
+AXES_LETTER = 0.18  #: height of their letters, of that part
 LETTER, BESIDE = 0.024, 1.6  #: height of letters, of the slab's larger side; places of the names, of a letter
 CHOSEN = "#ff8c00"
 VIEW = (1.0, -1.65, 1.5)  #: the direction one looks from at first
@@ -41,34 +46,54 @@ NEAREST, FARTHEST = 0.1, 5.0  #: of the distance from which all is seen
 
 
 class ArrayScene:
-    """A plotter with the array in it, seen under one load after the other; draws nothing by itself."""
+    """A plotter with the array in it, seen under one load after the other; draws nothing by itself.
 
-    def __init__(self, field: ArrayField) -> None:
+    Its full scale is that of `full_mpa` on the middle pad, at which a pad's outline is darkest.
+    """
+
+    def __init__(self, field: ArrayField, full_mpa: float = PAPERS.normal_mpa[1]) -> None:
         self._field, self._parts = field, ArrayParts(field, is_coarse=True)
         design, self._pads = field.design, "plates" if field.has_plates else "pads"
-        down = np.tile([0.0, 0.0, -MAX_PRESSED_MPA], (design.n_units, 1))
-        rest, most = (self._parts.under(field.state(share * down), stress=False) for share in (0.0, 1.0))
+        self._full = np.zeros((design.n_units, 3))
+        self._full[design.array.rows // 2 * design.array.cols + design.array.cols // 2, 2] = -full_mpa
+        rest, most = (self._parts.under(field.state(share * self._full), stress=False) for share in (0.0, 1.0))
         self._picture = DeformedPicture({"": rest}, medium="live", over=[most])
         self.plotter, self.pads_bar = self._picture.plotter, self._picture.bars[-1]
         self.pillars = next(moving.mesh for moving in self._picture.moving if moving.name == "pillars")
         names = unit_names(design)
         self._letters = add_words(self.plotter, names, LETTER * max(design.slab_mm))
-        add_axes(self.plotter, CORNER, AXES_INK)
+        add_axes(self.plotter, CORNER, AXES_INK, AXES_LETTER)
         around = np.arange((COARSE[2] + 1) ** 2).reshape(COARSE[2] + 1, -1)
         self._border = np.concatenate([around[0], around[1:, -1], around[-1, -2::-1], around[-2:0:-1, 0]])
         self.mark = pv.lines_from_points(rest[self._pads].points_mm[self._border], close=True)  #: of the chosen pad
         self.plotter.add_mesh(self.mark, color=CHOSEN, line_width=4)
         self.reach_mm = np.vstack([rest["matrix"].points_mm, *names.values()])
         self.camera = Camera(self.plotter.camera)
+        self.full_size = cache(self._full_size)  #: of a quantity, its largest value at full scale
         self.look_from_the_start()
 
+    def _full_size(self, colour: Shown) -> float:
+        if colour == RESISTANCE:
+            return FULL_CHANGE_PCT
+        quantity = QUANTITIES[colour]
+        bar = bar_of(quantity, [self._parts.under(self._field.state(self._full), quantity.of_stress)])
+        return max(-bar.low, bar.high)
+
     def show(
-        self, traction_mpa: FloatArray, change: FloatArray, colour: Shown, scale: float, chosen: int, is_dark: bool
+        self,
+        traction_mpa: FloatArray,
+        change: FloatArray,
+        colour: Shown,
+        scale: float,
+        chosen: int,
+        is_dark: bool,
+        min_share: float = MIN_SHARE,
     ) -> Bar:
         """Bring the scene to tractions (n_units, 3); returns the colour bar of the pillars.
 
         The relative change of their resistances from rest is (rows, cols, n_pillars), the colour one of `TITLES`, the
-        scale a factor of displacements as drawn; the pad of the unit `chosen` is marked.
+        scale a factor of displacements as drawn; the pad of the unit `chosen` is marked. Colours span `min_share` of
+        the full scale at least.
         """
 
         def of_resistance(part: Part) -> FloatArray:
@@ -76,7 +101,7 @@ class ArrayScene:
 
         quantity = Quantity(TITLES[colour], of_resistance) if colour == RESISTANCE else QUANTITIES[colour]
         parts = self._parts.under(self._field.state(traction_mpa), quantity.of_stress)
-        bar = self._picture.recolour({"": parts}, quantity, scale)
+        bar = self._picture.recolour({"": parts}, quantity, scale, min_share * self.full_size(colour))
         pads, first = parts[self._pads], chosen * (COARSE[2] + 1) ** 2
         own = first + self._border
         lift_mm = PAD_LIFT * self._field.design.unit.height_mm
