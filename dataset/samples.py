@@ -24,6 +24,11 @@ from geometry.layout import FloatArray, Layout
 if TYPE_CHECKING:
     import xarray as xr
 
+#: samples that are held in memory together and settle 2,000 weights: the linear ones are fitted to all beyond
+ENOUGH = 20_000
+#: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
+#: (Markov's inequality), whatever it is compared with, and ever while readings come (Ville's)
+FALSE_ALARMS = 1e-4
 #: attributes that are of a whole file and not of some of its samples
 WHOLE_FILE = ("samples", "redrawn", "unsolved", "recipe")
 Choice = int | slice | Sequence[int] | np.ndarray  #: of samples, as of an array's rows
@@ -304,6 +309,14 @@ def joined(parts: Sequence[Samples]) -> Samples:
     model = np.concatenate([part.is_finite for part in parts]).astype(np.float64)
     arrays = dict.fromkeys(VARIABLES) | arrays | {"strain_model": model if model.any() else None}
     return replace(first, **arrays, made_from=first._of_part)
+
+
+def drawn(data: AnySamples, seed: int = 0, enough: int = ENOUGH) -> Samples:
+    """The samples themselves in memory, or `enough` of them if there are more: a random draw, in the data's order."""
+    require_samples("samples", data, AnySamples)
+    if len(data) > enough:
+        return data[np.sort(np.random.default_rng(seed).choice(len(data), enough, replace=False))]
+    return data if isinstance(data, Samples) else data[:]
 
 
 def _dead(samples: AnySamples) -> NDArray[np.bool_]:

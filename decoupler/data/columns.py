@@ -152,6 +152,11 @@ class Columns:
         """Pillars that can be read, (P,)."""
         return ~self.dead[..., self.component.pillars(self.layout)].reshape(-1)
 
+    @cached_property
+    def force_scaling(self) -> "Scaling":
+        """By the ranges of the forces."""
+        return Scaling.fitted(self.force_n)
+
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same with some pillars (P,) that cannot be read either."""
         dead = self.dead.copy()

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from common.threads import one_blas_thread
 from dataset import Samples
-from dataset.samples import AnySamples, SampleError
+from dataset.samples import ENOUGH, AnySamples, SampleError, drawn
 from decoupler.data.columns import COMPONENTS, Component, force_columns
-from decoupler.data.enough import ENOUGH, drawn
 from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate, force_errors
 from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel

@@ -16,9 +16,9 @@ import numpy as np
 from dataset import Samples
 from dataset.measurement import ReadingError
 from dataset.protocols import INDENT
+from dataset.samples import FALSE_ALARMS
 from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Columns, Component, force_columns, load_numbers
-from decoupler.data.enough import FALSE_ALARMS
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
