@@ -23,7 +23,7 @@ from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, S
 from decoupler.model_file import write_model
 from decoupler.training import finite_strain
 from decoupler.training.finite_strain import posterior_of, states_of
-from decoupler.twin import identification, identify, near_designs, read_twin, simulate_twin, strained_draws, write_twin
+from decoupler.twin import identification, identify, near_designs, read_twin, simulate_twin, twin_samples, write_twin
 from decoupler.twin.expectation import Expectation
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import ResponseSensitivities
@@ -328,7 +328,7 @@ def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_pa
     assert np.array_equal(part.resistance_ohm, drawn.resistance_ohm[BLOCK:])
     with pytest.raises(SampleError, match="of a twin hold no displacements: its own decoder has learned finite strain"):
         train(drawn, response=known)
-    with mock.patch.object(strained_draws, "MAX_DRAWS", 2), pytest.raises(LoadError, match="lower the loads"):
+    with mock.patch.object(twin_samples, "MAX_DRAWS", 2), pytest.raises(LoadError, match="lower the loads"):
         simulate_twin(twin, known, replace(many, pressure_mpa=(20.0, 25.0), samples=2))
     virtual = VirtualSensor(tmp_path / "twin.toml", environments=20)
     virtual._member[:] = torch.arange(20)

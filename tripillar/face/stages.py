@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from decoupler.twin.expectation import Expectation
     from decoupler.twin.identification import N_LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
-    from decoupler.twin.strained_draws import StrainedDraws
+    from decoupler.twin.twin_samples import StrainedDraws
     from decoupler.twin.twin_file import TwinFile, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
