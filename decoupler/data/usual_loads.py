@@ -30,7 +30,7 @@ def loads_of_samples(data: Samples, count: int) -> FloatArray:
     protocol = str(data.made_from.get("protocol"))
     if protocol not in PROTOCOLS or data.design is None:
         return images_of(data.force_n, list(range(len(AXES))), count)
-    return usual_loads(protocol, data.design, count, Loads.stated(data.made_from))
+    return usual_loads(protocol, data.design, count, data.loads)
 
 
 def loads_like(
