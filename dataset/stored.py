@@ -162,8 +162,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     them in the file. Axes may be unlabelled, x, y, z then; without axes and pillars forces are along z. Pillars are
     those of the stated design; else those of the ready layout that has their names; unlabelled ones are the paper's z,
     x, y. An attribute that is missing or makes no sense counts as not stated. A file that is damaged or foreign, states
-    another hash than its content's,
-    lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
+    another hash than its content's, lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
     """
     path = Path(path)
     if is_zarr(path):
