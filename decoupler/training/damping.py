@@ -1,4 +1,4 @@
-"""The damped iteration that Levenberg-Marquardt and variable projection share; damping after Nielsen."""
+"""The quadratic that Levenberg-Marquardt and variable projection see, and their damped iteration, after Nielsen."""
 
 import math
 from abc import ABC, abstractmethod
