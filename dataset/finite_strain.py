@@ -22,7 +22,7 @@ from dataset.samples import Samples
 from dataset.settings import DatasetSettings
 from dataset.simulation import as_read, below_cap, labelled, origin
 from fem.array.response import ArrayResponse
-from fem.finite.samples import SampleSolver
+from fem.finite.samples import FiniteSamples, SampleSolver
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
@@ -100,12 +100,15 @@ class GroupSolver:
 
     def answered(self, settings: DatasetSettings) -> float:
         """Share of a group's first draws that have answers below the cap."""
-        design, protocol = self.design, settings.on_pads
-        traction = protocol.draw(np.random.default_rng(_STREAM), GROUP, design, settings.loads)
-        with one_blas_thread():
-            found = self._solver.displacements(traction * design.pad.size_mm**2)
-        over = largest_strains(found.displacement_mm, design.unit) > settings.cap
+        generator = np.random.default_rng(_STREAM)
+        found, over = self._solved(settings.on_pads.draw(generator, GROUP, self.design, settings.loads), settings.cap)
         return float((found.settled & ~over).mean())
+
+    def _solved(self, traction_mpa: FloatArray, cap: float) -> tuple[FiniteSamples, NDArray[np.bool_]]:
+        """Answers to tractions (n, k, 3) [MPa], and which are strained beyond the cap, (n,)."""
+        with one_blas_thread():
+            found = self._solver.displacements(traction_mpa * self.design.pad.size_mm**2)
+        return found, largest_strains(found.displacement_mm, self.design.unit) > cap
 
     def group(self, settings: DatasetSettings, number: int) -> Group:
         """Samples number · GROUP and on; a `LoadError` if one was drawn `MAX_DRAWS` times in vain."""
@@ -114,9 +117,7 @@ class GroupSolver:
 
         def draw(waiting: np.ndarray, attempt: int) -> tuple[list[np.ndarray], np.ndarray]:
             traction = drawn_loads(settings, design, number * GROUP + waiting, attempt)
-            with one_blas_thread():
-                found = self._solver.displacements(traction * design.pad.size_mm**2)
-            over = largest_strains(found.displacement_mm, design.unit) > settings.cap
+            found, over = self._solved(traction, settings.cap)
             unsolved[waiting] += ~over & ~found.settled
             estimate = np.hypot(found.error_estimate, self._linear_error)
             drawn = vars(found) | {"traction_mpa": traction, "error_estimate": estimate}

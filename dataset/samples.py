@@ -15,6 +15,7 @@ from common.storage.files import digest
 from common.storage.netcdf import Content, Named, labelled, write_netcdf
 from dataset.imperfections import PAPERS, Imperfections, stated_imperfections
 from dataset.leaves import is_zarr, leaf_size, write_leaves
+from dataset.loads import Loads
 from dataset.measurement import ReadingError
 from dataset.variables import LABELS, TIME, VARIABLES, coordinates
 from geometry.design import SensorDesign
@@ -24,6 +25,11 @@ from geometry.layout import FloatArray, Layout
 if TYPE_CHECKING:
     import xarray as xr
 
+#: samples that are held in memory together and settle 2,000 weights: the linear ones are fitted to all beyond
+ENOUGH = 20_000
+#: largest share of honest inputs that is doubted: a likelihood ratio passes 1/α with a probability of α at most
+#: (Markov's inequality), whatever it is compared with, and ever while readings come (Ville's)
+FALSE_ALARMS = 1e-4
 #: attributes that are of a whole file and not of some of its samples
 WHOLE_FILE = ("samples", "redrawn", "unsolved", "recipe")
 Choice = int | slice | Sequence[int] | np.ndarray  #: of samples, as of an array's rows
@@ -77,6 +83,16 @@ class AnySamples:
         return np.zeros(len(self), dtype=bool) if self.strain_model is None else np.asarray(self.strain_model > 0)
 
     @property
+    def is_dead(self) -> NDArray[np.bool_]:
+        """Which pillars cannot be read, (rows, cols, n_pillars)."""
+        return np.zeros((*self.shape, len(self.layout.pillars)), dtype=bool) if self.dead is None else self.dead
+
+    @property
+    def loads(self) -> Loads:
+        """Ranges of the loads that its attributes state."""
+        return Loads.stated(self.made_from)
+
+    @property
     def errors(self) -> ReadingError:
         """Errors that its readings have, and the drifts that its design states where these are larger."""
         return self._own_errors if self.design is None else self._own_errors.with_drifts_of(self.design.electrics)
@@ -108,9 +124,9 @@ class AnySamples:
         stated, said, names = self._stated, dict(self.made_from), self.layout.pillar_names
         own = {"noise": self.noise, "bits": self.bits}
         said |= {name: value for name, value in own.items() if value != getattr(stated, name)}
-        if not np.array_equal(_dead(self), stated.dead_mask(*self.shape, self.layout)):
+        if not np.array_equal(self.is_dead, stated.dead_mask(*self.shape, self.layout)):
             said = {name: value for name, value in said.items() if not name.startswith("dead_")}
-            said["dead_pillars"] = [f"{row},{col},{names[pillar]}" for row, col, pillar in np.argwhere(_dead(self))]
+            said["dead_pillars"] = [f"{row},{col},{names[pillar]}" for row, col, pillar in np.argwhere(self.is_dead)]
         design = {} if self.design is None else {"design": design_to_toml(self.design)}
         return design | {name: value for name, value in said.items() if value is not None and np.size(value)}
 
@@ -295,7 +311,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
                 raise SampleError(
                     f"data set {number} has another {said} than the first: join samples of one sensor, read alike."
                 )
-        if not np.array_equal(_dead(part), _dead(first)):
+        if not np.array_equal(part.is_dead, first.is_dead):
             raise SampleError(f"data set {number} has other pillars than the first: join samples of one sensor.")
     if len(parts) == 1:
         return first
@@ -306,8 +322,12 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return replace(first, **arrays, made_from=first._of_part)
 
 
-def _dead(samples: AnySamples) -> NDArray[np.bool_]:
-    return np.zeros((*samples.shape, len(samples.layout.pillars)), dtype=bool) if samples.dead is None else samples.dead
+def drawn(data: AnySamples, seed: int = 0, enough: int = ENOUGH) -> Samples:
+    """The samples themselves in memory, or `enough` of them if there are more: a random draw, in the data's order."""
+    require_samples("samples", data, AnySamples)
+    if len(data) > enough:
+        return data[np.sort(np.random.default_rng(seed).choice(len(data), enough, replace=False))]
+    return data if isinstance(data, Samples) else data[:]
 
 
 def require_variables(names: Sequence[str]) -> None:

@@ -169,19 +169,15 @@ def origin(response: ArrayResponse, settings: DatasetSettings, redrawn: int, rea
     }
 
 
-def measured_again(
-    samples: Samples, imperfections: Imperfections, seed: int, readout: Readout | None = None
-) -> Samples:
+def measured_again(samples: Samples, imperfections: Imperfections, seed: int) -> Samples:
     """Measure the same loads with a sensor of these imperfections, however `samples` were measured.
 
-    From the lengths, which are exact: to the last bit what `simulate` gives with the same loads, imperfections, seed
-    and readout. Samples without lengths or design are a `SampleError`; other errors are those of `Imperfections.apply`.
+    From the lengths, which are exact: to the last bit what `simulate` gives with the same loads, imperfections and
+    seed. Samples without lengths or design are a `SampleError`; other errors are those of `Imperfections.apply`.
     """
     require_samples("samples", samples, timed=True)
     require_type("imperfections", imperfections, Imperfections, "say what is wrong with the sensor")
     design, lengths = samples.design, samples.length_mm
-    if design is not None and readout is not None:
-        design = readout.seen(design)
     if design is not None and design.electrics.is_conduction:
         lengths = samples.effective_length_mm
     if design is None or lengths is None:
@@ -193,9 +189,9 @@ def measured_again(
     return replace(
         samples,
         design=design,
-        resistance_ohm=read_resistances(exact_ohm, imperfections, seed, readout, design),
+        resistance_ohm=read_resistances(exact_ohm, imperfections, seed, None, design),
         **imperfections.of_samples(design),
-        made_from={**kept, **imperfections.as_attributes(), **read_through(readout), "noise_seed": seed},
+        made_from={**kept, **imperfections.as_attributes(), "noise_seed": seed},
     )
 
 

@@ -81,7 +81,10 @@ class StoredSamples(AnySamples):
         is_whole = all(isinstance(each, list) and len(each) == self._n_leaves for each in hashes.values())
         found = leaves_hash(hashes, self.leaf_size) if is_whole and set(LABELS) <= hashes.keys() else None
         if not is_whole or found not in (None, self._data.attrs.get("content_hash", found)):
-            raise FileFormatError(_changed(self.path))
+            raise FileFormatError(
+                f"{self.path}: forces and resistances do not match its attribute 'content_hash': drop the attribute if "
+                "you changed them on purpose, or make the file again."
+            )
         return hashes
 
     @cached_property
@@ -159,8 +162,7 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
     them in the file. Axes may be unlabelled, x, y, z then; without axes and pillars forces are along z. Pillars are
     those of the stated design; else those of the ready layout that has their names; unlabelled ones are the paper's z,
     x, y. An attribute that is missing or makes no sense counts as not stated. A file that is damaged or foreign, states
-    another hash than its content's,
-    lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
+    another hash than its content's, lacks an axis or a pillar, or holds what no sensor gives is a `FileFormatError`.
     """
     path = Path(path)
     if is_zarr(path):
@@ -292,13 +294,6 @@ def _stated_design(path: Path, text: object) -> SensorDesign | None:
         return design_from_dict(table) if table else None
     except DesignError:
         return None
-
-
-def _changed(path: Path) -> str:
-    return (
-        f"{path}: forces and resistances do not match its attribute 'content_hash': drop the attribute if you "
-        "changed them on purpose, or make the file again."
-    )
 
 
 def _require_sound(path: Path, arrays: Mapping[str, np.ndarray], layout: Layout, first: int = 0) -> None:

@@ -87,8 +87,7 @@ def read_model(path: Path) -> Decoder:
     """
     header, arrays = opened_file(path)
     try:
-        is_touch = str(header["format"]).startswith(TOUCH[:-1])
-        decoder = _touch_of(header, arrays) if is_touch else _network_of(header, arrays)
+        decoder = _decoder_of(header, arrays)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise FileFormatError(f"{path}: its header makes no sense ({error}): {_MEND}.") from None
     try:
@@ -204,55 +203,39 @@ def _try_out(decoder: Decoder) -> None:
             raise ValueError(f"the {name} of a scan is not finite")
 
 
-def _touch_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoder:
-    from decoupler.touch.bare import BareDecoder  # of few files
-    from decoupler.touch.plates import PlateDecoder
-
-    _require_format(header, TOUCH)
-    design = design_from_toml(header["design"])
-    said = {"design": design, "errors": _errors_of(header), "made_from": dict(header["made_from"])}
-    found: Decoder = built_of(PlateDecoder if design.pad.kind == "stiff" else BareDecoder, arrays, said)
-    return found
-
-
-def _require_format(header: dict[str, Any], wanted: str) -> None:
-    if header["format"] != wanted:
+def _decoder_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoder:
+    is_touch = str(header["format"]).startswith(TOUCH[:-1])
+    if header["format"] != (wanted := TOUCH if is_touch else FORMAT):
         raise ValueError(f"format is {header['format']}, not {wanted}: of another version, train it again")
     if not str(header[KEY]).startswith(MARK.decode()):
         raise ValueError(f"{KEY} is {header[KEY]!r}, no hash")
+    design: Any = None if header["design"] is None else design_from_toml(header["design"])
+    # a drift that is not stated is none
+    errors = ReadingError(**{each.name: header[each.name] for each in fields(ReadingError) if each.name in header})
+    said: dict[str, Any] = {"design": design, "errors": errors, "made_from": dict(header["made_from"])}
+    if is_touch:
+        from decoupler.touch.bare import BareDecoder  # of few files
+        from decoupler.touch.plates import PlateDecoder
 
-
-def _errors_of(header: dict[str, Any]) -> ReadingError:
-    """Of readings; a drift that is not stated is none."""
-    return ReadingError(**{each.name: header[each.name] for each in fields(ReadingError) if each.name in header})
-
-
-def _network_of(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Decoupler:
-    _require_format(header, FORMAT)
-    known = {spec.name for spec in fields(NetworkConfig)}
-    if set(header["network"]) != known:
+        found: Decoder = built_of(PlateDecoder if design.pad.kind == "stiff" else BareDecoder, arrays, said)
+        return found
+    if set(header["network"]) != (known := {spec.name for spec in fields(NetworkConfig)}):
         raise ValueError(f"network has the keys {sorted(header['network'])}, not {sorted(known)}")
-    form = NetworkConfig(**header["network"])
-
-    component, dead = component_named(header["component"]), arrays.get("dead")
-    design = None if header["design"] is None else design_from_toml(header["design"])
+    form, component = NetworkConfig(**header["network"]), component_named(header["component"])
     layout = layout_from_text(header.get("layout", "")) if design is None else design.unit.layout
-    said = {
+    said |= {
         "component": component,
         "form": form,
-        "design": design,
         "layout": layout,
-        "made_from": dict(header["made_from"]),
         "posterior.misfit": header.get("misfit", 0.0),
-        "errors": _errors_of(header),
         "least_squares.component": component,
-        "least_squares.dead": dead,
+        "least_squares.dead": arrays.get("dead"),
         "least_squares.layout": layout,
     }
     if form.feature in POWERS:
         said["front.feature"] = POWERS[form.feature]
     kind = DecouplerAtStrain if "misfit" in header else Decoupler
-    found: Decoupler = built_of(kind, arrays, said, {"network": form_named(form.net)})
+    found = built_of(kind, arrays, said, {"network": form_named(form.net)})
     return found
 
 

@@ -1,4 +1,4 @@
-"""Samples as columns of resistances and forces, a draw of too many, measured pairs, and loads to be expected.
+"""Samples as columns of resistances and forces, measured pairs, and loads to be expected.
 
 Open `columns.py` first.
 """

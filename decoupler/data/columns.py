@@ -131,11 +131,11 @@ class Columns:
         return cls(
             component=component,
             shape=data.shape,
-            resistance_ohm=pillar_columns(data.resistance_ohm, component, data.layout, data.dead),
+            resistance_ohm=pillar_columns(data.resistance_ohm, component, data.layout, data.is_dead),
             force_n=force_columns(data.force_n, component),
             load=load_numbers(data.force_n),
             errors=data.errors,
-            dead=data.dead if data.dead is not None else np.zeros((*data.shape, len(data.layout.pillars)), dtype=bool),
+            dead=data.is_dead,
             layout=data.layout,
         )
 
@@ -151,6 +151,11 @@ class Columns:
     def readable(self) -> NDArray[np.bool_]:
         """Pillars that can be read, (P,)."""
         return ~self.dead[..., self.component.pillars(self.layout)].reshape(-1)
+
+    @cached_property
+    def force_scaling(self) -> "Scaling":
+        """By the ranges of the forces."""
+        return Scaling.fitted(self.force_n)
 
     def without(self, pillars: NDArray[np.bool_]) -> Self:
         """The same with some pillars (P,) that cannot be read either."""

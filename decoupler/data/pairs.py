@@ -71,9 +71,8 @@ class Pairs:
     @classmethod
     def of(cls, samples: Samples) -> Self:
         """Pairs of labelled samples, whose forces are exact; dead and open pillars count as not read."""
-        ohms = np.where(samples.resistance_ohm < OPEN_OHM, samples.resistance_ohm, np.nan)
-        if samples.dead is not None:
-            ohms = np.where(samples.dead, np.nan, ohms)
+        is_read = (samples.resistance_ohm < OPEN_OHM) & ~samples.is_dead
+        ohms = np.where(is_read, samples.resistance_ohm, np.nan)
         force_n, layout = samples.force_n, samples.layout
         return cls(resistance_ohm=ohms, force_n=force_n, noise=samples.noise, bits=samples.bits, layout=layout)
 

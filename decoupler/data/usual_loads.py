@@ -4,6 +4,7 @@ import numpy as np
 
 from dataset.loads import PAPERS, Loads
 from dataset.protocols import MAX_TOUCHED, PROTOCOLS, forces
+from dataset.samples import Samples
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
 
@@ -22,6 +23,14 @@ def usual_loads(protocol: str, design: SensorDesign, count: int, loads: Loads = 
     """Random loads of a protocol within these ranges, (count, rows, cols, 3) [N]."""
     newtons = forces(PROTOCOLS[protocol].draw(np.random.default_rng(0), count, design, loads), design)
     return newtons.reshape(count, design.array.rows, design.array.cols, len(AXES))
+
+
+def loads_of_samples(data: Samples, count: int) -> FloatArray:
+    """Loads (count, rows, cols, 3) [N] like those of samples: of the protocol that drew them, or images of theirs."""
+    protocol = str(data.made_from.get("protocol"))
+    if protocol not in PROTOCOLS or data.design is None:
+        return images_of(data.force_n, list(range(len(AXES))), count)
+    return usual_loads(protocol, data.design, count, data.loads)
 
 
 def loads_like(

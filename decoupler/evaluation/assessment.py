@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from common.threads import one_blas_thread
 from dataset import Samples
-from dataset.samples import AnySamples, SampleError
+from dataset.samples import ENOUGH, AnySamples, SampleError, drawn
 from decoupler.data.columns import COMPONENTS, Component, force_columns
-from decoupler.data.enough import ENOUGH, drawn
-from decoupler.evaluation.metrics import ForceErrors, errors_over, evaluate, force_errors
+from decoupler.evaluation.metrics import ForceErrors, component_errors, errors_over, evaluate
 from decoupler.inverse.limits import bayes, cramer_rao
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.baseline import HOOKE, LINEAR, hooke_forces
@@ -68,11 +67,11 @@ def assess_predictions(
 
     Beside the same limits as a model's, of all pillars that `data` can read; other shapes are a `SampleError`.
     """
-    all_n = data[:].force_n
-    if predicted_n.shape != all_n.shape:
+    whole = data[:]
+    if predicted_n.shape != whole.force_n.shape:
         raise SampleError(
-            f"the predictions have shape {predicted_n.shape}, the samples' forces {all_n.shape}: give one for each "
-            "sample, in their order."
+            f"the predictions have shape {predicted_n.shape}, the samples' forces {whole.force_n.shape}: give one for "
+            "each sample, in their order."
         )
     axes = "".join(axis for k, axis in enumerate(AXES) if not np.isnan(predicted_n[..., k]).all())
     component = next((each for each in COMPONENTS.values() if "".join(each.axes) == axes), None)
@@ -81,14 +80,9 @@ def assess_predictions(
             f"the predictions are of axes '{axes}', some not of every sample: give all three, or one alone, and NaN "
             "along the others."
         )
-    errors = {
-        name: force_errors(predicted_n[..., k], all_n[..., k])
-        for name, k in zip(component.forces, (AXES.index(axis) for axis in component.axes), strict=True)
-    }
-    n_pillars = int(np.prod(data.shape)) * len(data.layout.pillars)
-    readable = np.ones(n_pillars, bool) if data.dead is None else ~data.dead.reshape(-1)
+    errors = component_errors(predicted_n[..., [AXES.index(axis) for axis in component.axes]], whole, component)
     found = {name: Assessment(errors=each) for name, each in errors.items()}
-    return _compared(found, component, data, readable, response, {})
+    return _compared(found, component, data, ~data.is_dead.reshape(-1), response, {})
 
 
 def _compared(

@@ -9,7 +9,7 @@ import numpy as np
 
 from common.pool import in_parallel
 from dataset import Samples
-from dataset.samples import SampleError
+from dataset.samples import SampleError, require_samples
 from decoupler.data.columns import Columns, component_named
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
@@ -58,8 +58,10 @@ def cross_validate(
     The seed also shuffles the samples, of which there are at least two a fold. `progress` is called with the number of
     each fold as it ends, in whatever order. Folds come in order, the same however many processes there are.
     """
-    columns, network, training, _ = suited(data, component, network, training, response)
-    return in_parallel(jobs_of(data, columns.component.name, network, training, folds, response), progress)
+    require_samples("data", data)
+    known = suited(data, component, network, training, response)
+    name = known.columns.component.name
+    return in_parallel(jobs_of(data, name, known.form, known.training, folds, response), progress)
 
 
 def jobs_of(

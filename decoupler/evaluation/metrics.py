@@ -12,9 +12,8 @@ import numpy as np
 from common.errors import require_type
 from common.threads import one_blas_thread
 from dataset import Samples
-from dataset.samples import AnySamples, SampleError, require_samples
+from dataset.samples import ENOUGH, AnySamples, SampleError, require_samples
 from decoupler.data.columns import Component, Scaling, force_columns
-from decoupler.data.enough import ENOUGH
 from decoupler.model.decoupler import Decoupler
 from geometry.layout import FloatArray
 

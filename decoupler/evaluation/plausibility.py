@@ -16,9 +16,9 @@ import numpy as np
 from dataset import Samples
 from dataset.measurement import ReadingError
 from dataset.protocols import INDENT
+from dataset.samples import FALSE_ALARMS
 from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Columns, Component, force_columns, load_numbers
-from decoupler.data.enough import FALSE_ALARMS
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.training.suited import residuals
@@ -216,15 +216,15 @@ class _Fit:
         fit = cls(data, component, forward)
         still = ~(np.ptp(data.resistance_ohm, axis=0) > 0)
         still[..., component.pillars(data.layout)] = False
-        dead = still if data.dead is None else still | data.dead
-        return replace(fit, data=replace(data, dead=dead), component=COMPONENTS["all"] if fit.is_joint else component)
+        whole = replace(data, dead=still | data.is_dead)
+        return replace(fit, data=whole, component=COMPONENTS["all"] if fit.is_joint else component)
 
     def turned(self, turn: Turn, place: Turn = lambda R: R) -> "_Fit":
         """The same under other forces, of readings in other places; as it is if no array or sensor bears such."""
         data, force_n = self.data, turn(self.data.force_n)
         if force_n.shape != data.force_n.shape or np.abs(force_n).max() > MAX_N:
             return self
-        dead = None if data.dead is None else place(data.dead[None].astype(float))[0] > 0.0
+        dead = place(data.is_dead[None].astype(float))[0] > 0.0
         return replace(self, data=replace(data, force_n=force_n, resistance_ohm=place(data.resistance_ohm), dead=dead))
 
     @property

@@ -71,5 +71,7 @@ class DecouplerAtStrain(Decoupler):
 
     def doubts(self, columns_ohm: FloatArray) -> Doubts:
         """Which inputs are read, (n_in,), and what errors of others do to first answers, (n, n_out, k) [N]."""
-        slopes = None if self.filling is None else self.filling.by_missing(columns_ohm, self.derivatives(columns_ohm))
-        return self.readable & ~self._missing, slopes
+        by_missing = None
+        if self.filling is not None:
+            by_missing = self.filling.by_errors(columns_ohm, self.derivatives(columns_ohm))[1]
+        return self.readable & ~self._missing, by_missing

@@ -53,15 +53,14 @@ class Decoupler(Decoder):
         cls, data: Columns, form: NetworkConfig, front: Front, network: Network, design: SensorDesign | None
     ) -> "Decoupler":
         """A network that was trained on samples, as unsure of forces as before."""
-        output_scaling = Scaling.fitted(data.force_n)
         return Decoupler(
             component=data.component,
             form=form,
             front=front,
             network=network,
-            output_scaling=output_scaling,
+            output_scaling=data.force_scaling,
             usual=UsualLoads.of(data),
-            uncertainty=Uncertainty.untold(output_scaling.half_range, network.output, data.component),
+            uncertainty=Uncertainty.untold(data.force_scaling.half_range, network.output, data.component),
             ensemble=Ensemble.of_none(*(data.resistance_ohm.shape[1], data.force_n.shape[1])),
             least_squares=LeastSquares.fitted(data),
             dead=data.dead,
@@ -110,7 +109,7 @@ class Decoupler(Decoder):
         Notes
         -----
         One error of a reading, or of the sensor's model, moves all forces: Wᵀ S (G Gᵀ + D) S W with W the weights, G
-        what these errors do (`_error_factors`), D the variance that training left, taken to be independent from force
+        what these errors do (`error_factors`), D the variance that training left, taken to be independent from force
         to force, and S the half-widths' scale.
         """
 
@@ -133,7 +132,7 @@ class Decoupler(Decoder):
         # drifts weighed against few heavy contacts leave errors with long tails, which a sum of all forces shows most
         wide = scale if found.drift_factor is None else np.maximum(scale, two / 2.0)
         variance, covariance = own_n2.copy(), np.zeros((len(columns), *weights.shape[1:] * 2))
-        for chunk, factors in self._error_factors(columns):
+        for chunk, factors in self.error_factors(columns):
             variance[chunk] += (factors**2).sum(axis=2)
             by_error = (weights[None] * wide[chunk, :, None]).swapaxes(1, 2) @ factors
             covariance[chunk] = by_error @ by_error.swapaxes(1, 2)
@@ -192,7 +191,7 @@ class Decoupler(Decoder):
     def noise_variance(self, columns_ohm: FloatArray) -> FloatArray:
         """Variance of forces (n, n_out) [N²] that errors of readings (n, n_in) [Ω] and of the sensor's model cause."""
         found = np.zeros((len(columns_ohm), len(self.output_scaling.centre)))
-        for chunk, factors in self._error_factors(columns_ohm):
+        for chunk, factors in self.error_factors(columns_ohm):
             found[chunk] = (factors**2).sum(axis=2)
         return found
 
@@ -214,7 +213,7 @@ class Decoupler(Decoder):
             shared = namespace(columns_ohm).concat([shared, *draws], axis=2)
         return errors.deviation(columns_ohm), shared
 
-    def _error_factors(self, columns_ohm: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+    def error_factors(self, columns_ohm: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
         """Change of the forces by each independent error, chunk by chunk: (c, n_out, n_errors) [N].
 
         Errors are those of `reading_errors`, drifts as far as forces err along them. Where nothing errs there is no
@@ -226,17 +225,14 @@ class Decoupler(Decoder):
         for start in range(0, len(columns_ohm), DERIVATIVES):
             chunk = slice(start, start + DERIVATIVES)
             columns = columns_ohm[chunk]
-            whole = slopes = self.derivatives(columns)
+            slopes, by_missing = self.derivatives(columns), list[FloatArray]()
             if self.filling is not None:
-                slopes = self.filling.by_read(columns, whole)
+                slopes, *by_missing = self.filling.by_errors(columns, slopes)
             own, shared = self.reading_errors(columns)
             common = [slopes @ shared] if shared.shape[2] else []
             if drift_factor is not None and self.errors.has_drift:
                 common[0][..., : len(drift_factor)] = common[0][..., : len(drift_factor)] @ drift_factor
-            if self.filling is not None:
-                common.append(self.filling.by_missing(columns, whole))
-            factors = slopes * own[:, None]
-            yield chunk, np.concatenate([factors, *common], axis=2) if common else factors
+            yield chunk, np.concatenate([slopes * own[:, None], *common, *by_missing], axis=2)
 
     @cached_property
     def _missing(self) -> NDArray[np.bool_]:

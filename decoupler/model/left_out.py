@@ -80,22 +80,20 @@ class LeftOut:
         delta, _ = descended(np.zeros_like(first), at, step, REFINED, gained=GAINED)
         return with_delta(delta, np.arange(len(here)))
 
-    def by_read(self, columns_ohm: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Derivatives of the forces (n, n_out, n_in) [N/Ω], which move what is left out as well; 0 by that."""
+    def by_errors(self, columns_ohm: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What errors do to forces of readings (n, n_in) [Ω], whose derivatives are `slopes` (n, n_out, n_in) [N/Ω].
+
+        Derivatives by what is read, which moves what is left out as well, 0 by that; and changes of the forces by
+        independent errors of what was filled in, (n, n_out, k) [N].
+        """
         which, by_read = self.foretold.which, slopes.copy()
         by_read[:, :, which] = 0.0
+        by_missing = slopes[:, :, which] * columns_ohm[:, None, which]
         if self._agreement is not None:
-            by_missed = self._steps(columns_ohm, self._missed(columns_ohm))[0] @ self._agreement.by_force
-            by_read += (slopes[:, :, which] * columns_ohm[:, None, which]) @ by_missed @ by_read
-        return by_read
-
-    def by_missing(self, columns_ohm: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Changes of the forces by independent errors of what was filled in, (n, n_out, k) [N]."""
-        which = self.foretold.which
-        slopes = slopes[:, :, which] * columns_ohm[:, None, which]
-        if self._agreement is not None:
-            slopes = slopes @ self._steps(columns_ohm, self._missed(columns_ohm))[1]
-        return np.asarray(slopes @ np.linalg.cholesky(self.foretold.covariance + MIN_NOISE**2 * np.eye(len(which))))
+            by_missed, by_delta = self._steps(columns_ohm, self._missed(columns_ohm))
+            by_read += by_missing @ (by_missed @ self._agreement.by_force) @ by_read
+            by_missing = by_missing @ by_delta
+        return by_read, by_missing @ np.linalg.cholesky(self.foretold.covariance + MIN_NOISE**2 * np.eye(len(which)))
 
     @cached_property
     def _agreement(self) -> "_Agreement | None":

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from decoupler.data.enough import FALSE_ALARMS
+from dataset.samples import FALSE_ALARMS
 from decoupler.rubber.inversion import LawInverse
 from decoupler.rubber.law import LINEAR, Rubber
 from geometry.design import Memory

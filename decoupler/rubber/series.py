@@ -158,10 +158,7 @@ def _columns(path: Path, named: Mapping[str, str]) -> tuple[dict[str, str], dict
                     f"{path}: the line of units says {said} of {names[unit]}: name it columns={other}={names[unit]}."
                 )
             found[quantity] = unit
-            try:
-                table[quantity] = units[unit] * np.array([float(cells[place]) for cells in lines])
-            except (ValueError, IndexError):
-                table[quantity] = units[unit] * np.array([_number(cells, place) for cells in lines])
+            table[quantity] = units[unit] * np.array([_number(cells, place) for cells in lines])
         elif quantity not in BESIDE:
             raise FileFormatError(
                 f"{path}: the column {names[quantity]} is missing (or {', '.join(list(units)[1:])}); "

@@ -1,14 +1,16 @@
-"""The damped iteration that Levenberg-Marquardt and variable projection share; damping after Nielsen."""
+"""The quadratic that Levenberg-Marquardt and variable projection see, and their damped iteration, after Nielsen."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
+import torch
 from torch import Tensor
 
-from decoupler.model.network import Outcome, Reason
-from decoupler.model.settings import Progress, TrainingConfig
+from decoupler.model.network import Outcome, Reason, Task
+from decoupler.model.settings import TrainingConfig
+from decoupler.training.weights import TrainingSet
 
 FIRST_DAMPING = 1e-3  #: over the largest diagonal entry of JᵀJ
 MAX_DAMPING = 1e12  #: in the same unit; no step is found by damping more
@@ -23,14 +25,30 @@ class Point:
     cost: float  #: the function that is minimised
     mse: float  #: mean squared error, which is reported
 
+    @classmethod
+    def at(cls, samples: TrainingSet, A: Tensor, hidden: Tensor, output: Tensor, ridge: float = 0.0) -> "Point":
+        """Weights whose activations of the samples are A; cost ½‖r‖² + ½ ridge ‖W₂‖²."""
+        residual = A @ output.T - samples.targets
+        squares = torch.sum(residual**2).item()
+        cost = 0.5 * (squares + ridge * torch.sum(output**2).item())
+        return cls(hidden, output, cost, squares / residual.numel())
 
-class Model(Protocol):
-    """The squared error near a point as a quadratic."""
 
-    @property
-    def scale(self) -> float:
-        """Size of the matrix's diagonal, the unit of the first damping."""
+class Quadratic(ABC):
+    """The squared error near a point as a quadratic, with A, s = 1 − tanh² and K = W₂ᵀW₂ over the hidden nodes."""
 
+    scale: float  #: size of the matrix's diagonal, the unit of the first damping
+
+    def __init__(self, samples: TrainingSet, point: Point) -> None:
+        self.samples, self.point, h = samples, point, len(point.hidden)
+        self.A = samples.activations(point.hidden)
+        self.s = 1.0 - self.A[:, :h] ** 2
+        self.W2 = point.output[:, :h]
+        self.K = self.W2.T @ self.W2
+        self.residual = self.A @ point.output.T - samples.targets  # (n_samples, n_out)
+        self.gradient = ((self.residual @ self.W2) * self.s).T @ samples.X  # (n_hidden, n_in+1)
+
+    @abstractmethod
     def step(self, damping: float) -> tuple[Point, float] | None:
         """The point after a damped step and the fall in cost the quadratic promises; None if singular."""
 
@@ -56,11 +74,7 @@ class Stop:
 
 
 def minimise(
-    start: Point,
-    linearise: Callable[[Point], Model],
-    config: TrainingConfig,
-    progress: Progress,
-    judge: Callable[[Point], float] | None = None,
+    start: Point, linearise: Callable[[Point], Quadratic], task: Task, judge: Callable[[Point], float] | None = None
 ) -> tuple[Point, Outcome]:
     """Follow damped Gauss-Newton steps downhill from `start`.
 
@@ -74,7 +88,7 @@ def minimise(
     at most, after each step uphill it grows by 2, 4, 8 ... A step uphill costs a factorisation, not a new
     matrix, and is no iteration.
     """
-    point, stop, iteration = start, Stop(config), 0
+    config, point, stop, iteration = task.training, start, Stop(task.training), 0
     best, error, waited = start, math.inf, 0
     damping, growth = 0.0, 2.0
 
@@ -82,7 +96,7 @@ def minimise(
         return best, Outcome(iteration, best.mse, reason)
 
     while True:
-        progress(iteration, point.mse)
+        task.progress(iteration, point.mse)
         judged = -math.inf if judge is None else judge(point)
         waited += 1
         if judge is None or judged < error:

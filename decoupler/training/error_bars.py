@@ -17,12 +17,17 @@ MIN_DEVIATION = 1e-12  #: over a force's range, so that nothing is divided by 0
 
 
 def with_uncertainty(
-    decoupler: Decoupler, data: Columns, ridge: float, n_light: int, judged: NDArray[np.int64] | None = None
+    decoupler: Decoupler,
+    data: Columns,
+    inputs: FloatArray,
+    ridge: float,
+    n_light: int,
+    judged: NDArray[np.int64] | None = None,
 ) -> Decoupler:
     """A model with its uncertainty, from its training set, of which the last `n_light` samples are light.
 
-    `ridge` is λ on the output weights; `judged` (n_judged,) are the samples that say the errors of those under load, by
-    default all.
+    `inputs` (n, k) are those of its network, `ridge` is λ on the output weights; `judged` (n_judged,) are the samples
+    that say the errors of those under load, by default all.
 
     Notes
     -----
@@ -33,14 +38,15 @@ def with_uncertainty(
     unknown as before training.
     """
     columns_ohm, force_n = data.resistance_ohm, data.force_n
-    A = decoupler.activations(columns_ohm)
+    A = decoupler.network.activations(inputs)
     M = A.T @ A
     M.flat[:: len(M) + 1] += ridge
     G = np.linalg.inv(M).astype(np.float64)
     of_weights = leverage(A, G).clip(0.0, 1.0)
     shared = decoupler.network.below / force_n.size
     freedom = 1.0 - np.bincount(data.load, of_weights + shared)[data.load]
-    errors = (decoupler.outputs(columns_ohm) - force_n) / np.maximum(freedom, MIN_FREEDOM)[:, None]
+    told_n = decoupler.output_scaling.unscale(A @ decoupler.network.output.T)
+    errors = (told_n - force_n) / np.maximum(freedom, MIN_FREEDOM)[:, None]
     errors = np.where((freedom > MIN_FREEDOM)[:, None], errors, force_n - force_n.mean(axis=0))
     n = len(A) - n_light
     loaded = np.arange(n) if judged is None else np.sort(judged[judged < n])
@@ -83,19 +89,15 @@ def _drift_factor(decoupler: Decoupler, data: Columns, errors_n: FloatArray) -> 
     on their own: it holds some drift for load and some load for drift, both along S U. So P⁻¹ is the covariance of the
     errors' coefficients of S U by weighted least squares, less the share in it of what readings err by on their own.
     """
-    columns_ohm, reading = data.resistance_ohm, data.errors
-    some = np.linspace(0, len(columns_ohm) - 1, min(ENOUGH_SAMPLES, len(columns_ohm))).astype(int)
-    rows, cols = data.shape
-    m = reading.shared(columns_ohm[:1], rows, cols).shape[2]
+    n, P = data.resistance_ohm.shape
+    m = data.errors.shared(data.resistance_ohm[:1], *data.shape).shape[2]
     if not m:
         return None
-    covariance = np.zeros((m, m))
-    for k in some:
-        slopes = decoupler.derivatives(columns_ohm[k : k + 1])[0]
-        own = slopes * reading.deviation(columns_ohm[k])
-        A = slopes @ reading.shared(columns_ohm[k : k + 1], rows, cols)[0]
-        weighted = A / np.maximum((own**2).sum(axis=1), 1e-300)[:, None]
-        H = np.linalg.solve(weighted.T @ A, weighted.T)
-        covariance += (np.outer(H @ errors_n[k], H @ errors_n[k]) - (H @ own) @ (H @ own).T) / len(some)
+    some, covariance = np.linspace(0, n - 1, min(ENOUGH_SAMPLES, n)).astype(int), np.zeros((m, m))
+    for chunk, factors in decoupler.error_factors(data.resistance_ohm[some]):
+        for own, A, error_n in zip(factors[..., :P], factors[..., P : P + m], errors_n[some][chunk], strict=True):
+            weighted = A / np.maximum((own**2).sum(axis=1), 1e-300)[:, None]
+            H = np.linalg.solve(weighted.T @ A, weighted.T)
+            covariance += (np.outer(H @ error_n, H @ error_n) - (H @ own) @ (H @ own).T) / len(some)
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(np.linalg.cholesky((vectors * np.maximum(values, 1.0)) @ vectors.T), dtype=np.float64)

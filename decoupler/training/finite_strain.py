@@ -5,14 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dataset.loads import Loads
 from dataset.measurement import ReadingError
-from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_strains, pillar_lengths
-from dataset.samples import SampleError, Samples
-from decoupler.data.columns import COMPONENTS, Columns, Resting, force_columns, pillar_columns
-from decoupler.data.enough import ENOUGH
-from decoupler.data.usual_loads import images_of, usual_loads
+from dataset.samples import ENOUGH, SampleError, Samples
+from decoupler.data.columns import COMPONENTS, Columns, Resting
+from decoupler.data.usual_loads import loads_of_samples
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import N_AXES, N_CURVED, N_FEATURES, SCALES, StrainMaps, neighbours
@@ -21,6 +18,7 @@ from decoupler.model.ensemble import Ensemble
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.solve import ridge, ridge_left_out
 from decoupler.training.fitting import fitted_network
+from decoupler.training.suited import Prepared
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, Layout
 
@@ -53,10 +51,11 @@ def states_of(displacement_mm: FloatArray, electrodes_mm_per_n: FloatArray) -> F
     return moved.reshape(len(moved), -1) @ np.linalg.pinv(electrodes_mm_per_n)
 
 
-def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
-    """The forward model of an array with what samples at finite strain, of all forces and pillars, add to its response.
+def posterior_of(response: "ArrayResponse", data: Samples) -> Posterior:
+    """The posterior of a design at finite strain before any network answers first.
 
-    The samples are of a sensor as designed; without displacements they are a `SampleError`.
+    Its forward model is the response's with what samples at finite strain, of all forces and pillars, add to it. They
+    are of a sensor as designed; without displacements they are a `SampleError`.
 
     Notes
     -----
@@ -78,8 +77,8 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     design, layout = response.design, response.design.unit.layout
     body = replace(response, design=replace(design, unit=design.unit.body), conducted=None)
     electrodes = SensorModel.of(body, EVERYTHING).influence
-    rows, cols = data.shape
-    state_n, force_n = states_of(data.displacement_mm, electrodes), force_columns(data.force_n, EVERYTHING)
+    rows, cols = design.array.rows, design.array.cols
+    columns, state_n = Columns.of(data, EVERYTHING), states_of(data.displacement_mm, electrodes)
     n_values = N_AXES + forward.n_pillars // (rows * cols)
     moved = _moved(state_n, electrodes, rows, cols)
     empty = StrainMaps(
@@ -94,14 +93,14 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     )
     lengths_mm = data.length_mm if data.effective_length_mm is None else data.effective_length_mm
     if lengths_mm is None:
-        squares = forward.squares_of(pillar_columns(data.resistance_ohm, EVERYTHING, data.layout))
+        squares = forward.squares_of(columns.resistance_ohm)
     else:
         squares = lengths_mm.reshape(len(data), -1) ** 2
-    states, forces, lengths2 = [state_n], [force_n], [squares]
+    states, forces, lengths2 = [state_n], [columns.force_n], [squares]
     images, few = _images(layout), state_n.size // N_AXES < ENOUGH_ROWS * N_CURVED
     if few and images is not None and _is_mirrored(electrodes, images, rows, cols):
         states.append(_image(state_n, rows, cols))
-        forces.append(_image(force_n, rows, cols))
+        forces.append(_image(columns.force_n, rows, cols))
         if response.conducted is None and data.length_mm is not None:
             seen_mm = pillar_lengths(_moved_image(data.displacement_mm, images), design.unit)
             lengths2.append(seen_mm.reshape(len(data), -1) ** 2)
@@ -109,7 +108,7 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     scale = SCALES / np.maximum(np.sqrt((A**2).mean(axis=0)), TINY)
     A *= scale
     off_n = np.concatenate(forces) - np.concatenate(states)
-    off_mm2 = [values - forward.linear.at_states(part)[0] for part, values in zip(states, lengths2, strict=False)]
+    off_mm2 = [own - forward.squares(forward.vectors(part)) for part, own in zip(states, lengths2, strict=False)]
     is_loaded = np.array([not one.reference for one in layout.pillars])
     targets = [off_n.reshape(-1, N_AXES), np.concatenate(off_mm2).reshape(-1, n_values - N_AXES) * is_loaded]
     if len(targets[0]) == len(targets[1]):
@@ -122,7 +121,14 @@ def with_strain_maps(response: "ArrayResponse", data: Samples) -> SensorModel:
     s = (empty.own(state_n) ** 2).mean(axis=2).ravel()
     told = misfit > 0  # not of references
     growth = _growth(s**2, ((left_out / np.where(told, misfit, np.inf)) ** 2).mean(axis=1) / told.mean())
-    return replace(forward, maps=replace(empty, weights=weights, misfit=misfit, growth=growth))
+    maps = replace(empty, weights=weights, misfit=misfit, growth=growth)
+    to_state = ridge(np.column_stack([columns.force_n, np.ones(len(data))]), state_n, STATE_RIDGE * len(data))
+    return Posterior(
+        forward=replace(forward, maps=maps),
+        to_state=to_state,
+        precision=np.zeros([columns.force_n.shape[1]] * 2),
+        loads_n=columns.force_n[:MOST_LOADS],
+    )
 
 
 def _moved(force_n: FloatArray, electrodes_mm_per_n: FloatArray, rows: int, cols: int) -> FloatArray:
@@ -165,18 +171,6 @@ def _growth(x: FloatArray, squares: FloatArray) -> FloatArray:
         found = nnls(np.column_stack([np.ones_like(x), x]) / expected[:, None], squares / expected)[0]
         found[0] = max(found[0], MIN_GROWTH)
     return found
-
-
-def posterior_of(response: "ArrayResponse", data: Samples) -> Posterior:
-    """The posterior of a design at finite strain before any network answers first; as of `with_strain_maps`."""
-    forward = with_strain_maps(response, data)
-    assert forward.maps is not None
-    assert data.displacement_mm is not None
-    state_n = states_of(data.displacement_mm, forward.maps.influence)
-    force_n = data.force_n.reshape(len(data), -1)
-    to_state = ridge(np.column_stack([force_n, np.ones(len(data))]), state_n, STATE_RIDGE * len(data))
-    Q = force_n.shape[1]
-    return Posterior(forward=forward, to_state=to_state, precision=np.zeros((Q, Q)), loads_n=force_n[:MOST_LOADS])
 
 
 def drawn_samples(
@@ -243,28 +237,29 @@ def trained_at_strain(
 ) -> DecouplerAtStrain:
     """The decoupler of an array at finite strain, from samples of it as designed, which hold displacements.
 
-    It is trained for loads of the protocol that drew the samples', or for images of theirs.
+    It is trained for loads like theirs.
     """
-    posterior = posterior_of(response, data)
-    protocol, design = str(data.made_from.get("protocol")), data.design
-    if protocol in PROTOCOLS and design is not None:
-        loads_n = usual_loads(protocol, design, DRAWS, Loads.stated(data.made_from))
-    else:
-        loads_n = images_of(data.force_n, [0, 1, 2], DRAWS)
-    drawn = drawn_samples(posterior, loads_n.reshape(DRAWS, -1), response.design, data.errors)
-    return refined(posterior, drawn, response.design, training, progress)
+    posterior, design = posterior_of(response, data), response.design
+    loads_n = loads_of_samples(data, DRAWS).reshape(DRAWS, -1)
+    return refined(posterior, loads_n, design, data.errors, training=training, progress=progress)
 
 
 def refined(
     posterior: Posterior,
-    drawn: Columns,
+    loads_n: FloatArray,
     design: SensorDesign,
+    errors: ReadingError,
+    ensemble: Ensemble | None = None,
     training: TrainingConfig | None = None,
     progress: Progress = lambda *_: None,
 ) -> DecouplerAtStrain:
-    """A network that is trained on draws, and the posterior that takes its answers as start and prior. Loads torch."""
-    form = NetworkConfig(hidden=HIDDEN, feature="root")
-    net = fitted_network(drawn, form, training or TrainingConfig(), design, progress=progress)
+    """A network that is trained on draws, and the posterior that takes its answers as start and prior. Loads torch.
+
+    Arguments are as of `drawn_samples`.
+    """
+    drawn = drawn_samples(posterior, loads_n, design, errors, ensemble)
+    form, training = NetworkConfig(hidden=HIDDEN, feature="root"), training or TrainingConfig()
+    net = fitted_network(Prepared(columns=drawn, form=form, training=training, design=design), progress)
     off_n = net.outputs(drawn.resistance_ohm[:JUDGED]) - drawn.force_n[:JUDGED]
     precision = np.linalg.inv(TRUST**2 * (off_n.T @ off_n) / len(off_n)).astype(np.float64)
     resting = Resting.read_with(posterior.forward.at_rest_ohm(), drawn.errors.bits)

@@ -10,26 +10,18 @@ from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.front import POWERS, Front
 from decoupler.model.network import Task, form_named
-from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
+from decoupler.model.settings import Progress
 from decoupler.model.uncertainty import leverage
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge
 from decoupler.training.error_bars import MIN_FREEDOM, with_uncertainty
-from geometry.design import SensorDesign
+from decoupler.training.suited import Prepared
 from geometry.layout import FloatArray
 
 MAX_UNEXPLAINED = 3e-3  #: share of the variance of √R that light samples' resistances may leave
 
 
-def fitted_network(
-    data: Columns,
-    form: NetworkConfig,
-    training: TrainingConfig,
-    design: SensorDesign | None = None,
-    forward: SensorModel | None = None,
-    progress: Progress = lambda *_: None,
-    judged: bool = True,
-) -> Decoupler:
+def fitted_network(known: Prepared, progress: Progress = lambda *_: None, judged: bool = True) -> Decoupler:
     """The network that a training set gives; with the sensor's model, if it has the feature `inverse`.
 
     As unsure of forces as before training if that is not `judged`.
@@ -42,30 +34,31 @@ def fitted_network(
 
     Hidden nodes learn single draws of drifts by heart: errors then are those on the samples kept for validation.
     """
-    kind, scaling = form_named(form.net), Scaling.fitted(data.force_n)
-    inverse, given = None if forward is None else _inverse(forward, data), data
+    data, form = known.columns, known.form
+    kind, scaling = form_named(form.net), data.force_scaling
+    inverse = None if known.forward is None else _inverse(known.forward, data)
     front = Front.of(data, inverse or POWERS[form.feature], scaling)
-    known = inverse.forward if inverse is not None and kind.sees_inputs else None
-    if known is not None:
-        data = _with_light_samples(known, scaling, data)
+    is_known = inverse is not None and kind.sees_inputs
+    if inverse is not None and is_known:
+        data = _with_light_samples(inverse.forward, scaling, data)
     inputs, targets = front.inputs(data.resistance_ohm), scaling.scale(data.force_n)
     task = Task(
         inputs=inputs,
-        targets=targets if known is None else targets - inputs,
+        targets=targets - inputs if is_known else targets,
         load=data.load,
         shape=data.shape,
-        is_known=known is not None,
+        is_known=is_known,
         form=form,
-        training=training,
+        training=known.training,
         progress=progress,
     )
     network, outcome = kind.fitted(task)
-    network = network if known is None else network.beside_inputs()
-    trained = Decoupler.of(given, form, front, network, design)
+    network = network.beside_inputs() if is_known else network
+    trained = Decoupler.of(known.columns, form, front, network, known.design)
     if judged:
         kept = task.held_out if data.errors.has_drift and len(task.held_out) else None
-        trained = with_uncertainty(trained, data, task.ridge, len(data) - len(given), kept)
-    return replace(trained, made_from={"training": asdict(training), "outcome": asdict(outcome)})
+        trained = with_uncertainty(trained, data, inputs, task.ridge, len(data) - len(known.columns), kept)
+    return replace(trained, made_from={"training": asdict(known.training), "outcome": asdict(outcome)})
 
 
 def _inverse(forward: SensorModel, data: Columns) -> ModelInverse:

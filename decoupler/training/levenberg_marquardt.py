@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from decoupler.model.network import Outcome
-from decoupler.model.settings import Progress, TrainingConfig
-from decoupler.training.damping import Point, minimise
+from decoupler.training.damping import Point, Quadratic, minimise
 from decoupler.training.weights import TrainingSet, pair_products
 
 
@@ -21,7 +20,7 @@ def _pair_index(n: int) -> Tensor:
     return index.reshape(-1)
 
 
-class GaussNewton:
+class GaussNewton(Quadratic):
     """JᵀJ and Jᵀr of the squared error ½‖A W₂ᵀ − T‖² at one point, block by block.
 
     Notes
@@ -37,20 +36,13 @@ class GaussNewton:
     """
 
     def __init__(self, samples: TrainingSet, point: Point) -> None:
-        self.samples, self.point = samples, point
-        hidden, output = point.hidden, point.output
-        h, p = hidden.shape
-        A = samples.activations(hidden)
-        s = 1.0 - A[:, :h] ** 2
-        residual = A @ output.T - samples.targets  # (n_samples, n_out)
-        self.W2 = output[:, :h]
-        self.K = self.W2.T @ self.W2
-        self.gradient_hidden = ((residual @ self.W2) * s).T @ samples.X  # (h, p)
-        self.gradient_output = residual.T @ A  # (n_out, n_hidden + n_linear)
-        self.AtA = A.T @ A
-        Z = (s[:, :, None] * samples.X[:, None, :]).reshape(len(s), h * p)
-        self.C = Z.T @ A
-        pairs = pair_products(s.T.contiguous()) @ samples.products.T
+        super().__init__(samples, point)
+        h, p = point.hidden.shape
+        self.gradient_output = self.residual.T @ self.A  # (n_out, n_hidden + n_linear)
+        self.AtA = self.A.T @ self.A
+        Z = (self.s[:, :, None] * samples.X[:, None, :]).reshape(len(self.s), h * p)
+        self.C = Z.T @ self.A
+        pairs = pair_products(self.s.T.contiguous()) @ samples.products.T
         blocks = pairs.index_select(1, _pair_index(p)).index_select(0, _pair_index(h))
         self.ZtZ = blocks.view(h, h, p, p).permute(0, 2, 1, 3).reshape(h * p, h * p)
 
@@ -58,17 +50,17 @@ class GaussNewton:
         self.scale = max(diagonal.max().item(), self.AtA.diagonal().max().item())
 
     def step(self, damping: float) -> tuple[Point, float] | None:
-        """The point after a damped step, and the fall in cost the quadratic promises; None if singular."""
         step = self.direction(damping)
         if step is None:
             return None
-        gradient = (self.gradient_hidden, self.gradient_output)
+        gradient = (self.gradient, self.gradient_output)
         promised = sum((d * (damping * d - g)).sum().item() / 2 for d, g in zip(step, gradient, strict=True))
-        return point_at(self.samples, self.point.hidden + step[0], self.point.output + step[1]), promised
+        hidden, output = self.point.hidden + step[0], self.point.output + step[1]
+        return Point.at(self.samples, self.samples.activations(hidden), hidden, output), promised
 
     def direction(self, damping: float) -> tuple[Tensor, Tensor] | None:
         """Damped step (JᵀJ + damping·I) d = −Jᵀr as (hidden, output); None if singular to rounding."""
-        h, p = self.gradient_hidden.shape
+        h, p = self.gradient.shape
         M = self.AtA.clone()
         M.diagonal().add_(damping)
         M_factor, info = torch.linalg.cholesky_ex(M)
@@ -83,22 +75,13 @@ class GaussNewton:
             return None
         C = self.C.view(h, p, -1)  # (h, p, n_hidden + n_linear)
         solved = torch.cholesky_solve(self.gradient_output.T, M_factor)
-        reduced = self.gradient_hidden - torch.einsum("jaq,qj->ja", C, solved @ self.W2)
+        reduced = self.gradient - torch.einsum("jaq,qj->ja", C, solved @ self.W2)
         hidden = -torch.cholesky_solve(reduced.reshape(-1, 1), S_factor).view(h, p)
         coupled = torch.einsum("jaq,ja->qj", C, hidden) @ self.W2.T
         return hidden, -torch.cholesky_solve(self.gradient_output.T + coupled, M_factor).T
 
 
-def point_at(samples: TrainingSet, hidden: Tensor, output: Tensor) -> Point:
-    """Weights with their cost ½‖r‖² and their mean squared error."""
-    residual = samples.activations(hidden) @ output.T - samples.targets
-    cost = 0.5 * torch.sum(residual**2).item()
-    return Point(hidden, output, cost, 2.0 * cost / residual.numel())
-
-
-def train_lm(
-    samples: TrainingSet, hidden: Tensor, output: Tensor, config: TrainingConfig, progress: Progress
-) -> tuple[Point, Outcome]:
+def train_lm(samples: TrainingSet, hidden: Tensor, output: Tensor) -> tuple[Point, Outcome]:
     """Train from the given weights."""
-    start = point_at(samples, hidden, output)
-    return minimise(start, lambda point: GaussNewton(samples, point), config, progress)
+    start = Point.at(samples, samples.activations(hidden), hidden, output)
+    return minimise(start, lambda point: GaussNewton(samples, point), samples.task)

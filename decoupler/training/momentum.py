@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from decoupler.model.network import Outcome
-from decoupler.model.settings import Progress, TrainingConfig, TrainingError
+from decoupler.model.settings import TrainingConfig, TrainingError
 from decoupler.training.damping import Point, Stop
 from decoupler.training.weights import TrainingSet
 
@@ -19,10 +19,9 @@ def momentum_step(weights: Tensor, gradient: Tensor, before: Tensor, training: T
     return weights.add(gradient, alpha=-alpha * (1.0 - eta)).add(before, alpha=-alpha * eta)
 
 
-def train_momentum(
-    samples: TrainingSet, hidden: Tensor, output: Tensor, training: TrainingConfig, progress: Progress
-) -> tuple[Point, Outcome]:
+def train_momentum(samples: TrainingSet, hidden: Tensor, output: Tensor) -> tuple[Point, Outcome]:
     """Train from the given weights; a learning rate that makes the error grow without bound is a `TrainingError`."""
+    training = samples.task.training
     weights, stop, iteration = [hidden, output], Stop(training), 0
     before: tuple[Tensor, ...] = (torch.zeros_like(hidden), torch.zeros_like(output))
     while True:
@@ -30,7 +29,7 @@ def train_momentum(
             hidden, output = (one.requires_grad_() for one in weights)
             loss = torch.mean((samples.activations(hidden) @ output.T - samples.targets) ** 2)
         mse = loss.item()
-        progress(iteration, mse)
+        samples.task.progress(iteration, mse)
         if not mse < 1e6:
             raise TrainingError(
                 f"the momentum rule ran away (mean squared error {mse:.1e} after {iteration} iterations): "

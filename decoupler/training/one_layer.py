@@ -25,9 +25,7 @@ class Skip(Network):
         samples = TrainingSet(task, cls.sees_inputs)
         hidden, output = starting_weights(samples)
         with one_torch_thread():
-            point, outcome = named(METHODS[task.training.trainer])(
-                samples, hidden, output, task.training, task.progress
-            )
+            point, outcome = named(METHODS[task.training.trainer])(samples, hidden, output)
         # in the order of a file's, since products round by it
         layers = (np.array(part.numpy(), order="C") for part in (point.hidden, point.output))
         return cls(**dict(zip(("hidden", "output"), layers, strict=True))), outcome

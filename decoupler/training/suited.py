@@ -4,18 +4,19 @@ Loads no torch.
 """
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import require_type
-from dataset.samples import SampleError, Samples, require_samples
+from dataset.samples import AnySamples, SampleError, Samples, drawn
 from decoupler.data.columns import Columns, Component, acting_component, component_named
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.network import form_named
 from decoupler.model.settings import NetworkConfig, TrainingConfig
+from geometry.design import SensorDesign
 from geometry.layout import FloatArray
 
 if TYPE_CHECKING:
@@ -35,40 +36,52 @@ MIN_LOADED = 0.1  #: expected motion of a pillar over the usual one, below which
 NOISE_TIMES = 1.5  #: the stated noise; readings within it show no load
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """All that a network is trained on and by."""
+
+    columns: Columns
+    form: NetworkConfig
+    training: TrainingConfig
+    design: SensorDesign | None
+    forward: SensorModel | None = None  #: of the feature `inverse` alone
+    samples: Samples | None = None  #: that the columns are of; None of drawn ones
+
+
 def suited(
-    data: Samples,
+    data: AnySamples,
     component: str | None,
     network: NetworkConfig | None,
     training: TrainingConfig | None,
     response: "ArrayResponse | None",
-) -> tuple[Columns, NetworkConfig, TrainingConfig, SensorModel | None]:
+) -> Prepared:
     """Complete what a training is asked for with what suits the samples, and take what it learns from them.
 
-    The response is given back for the feature `inverse` alone. A sample that is given twice counts once, readings are
-    given the drifts that the design states, and pillars that do not follow their loads are taken for dead. The feature
-    `auto` is `inverse` for a network that sees its inputs if the response explains linear samples, else `root`. An
-    argument of another type is an `ArgumentError`.
+    Of more than `ENOUGH` samples a random draw is taken. One that is given twice counts once, readings are given the
+    drifts that the design states, and pillars that do not follow their loads are taken for dead. The feature `auto` is
+    `inverse` for a network that sees its inputs if the response explains linear samples, else `root`. An argument of
+    another type is an `ArgumentError`.
     """
-    require_samples("data", data)
     if network is not None:
         require_type("network", network, NetworkConfig, "give its form, or None for one that suits the samples")
     if training is not None:
         require_type("training", training, TrainingConfig, "say how to train, or give None")
-    parts = component_named(acting_component(data.force_n) if component is None else component)
     form, training, forward = network or NetworkConfig(), training or TrainingConfig(), None
-    data = data[Columns.of(data, parts).distinct()]
-    if len(data) < 2:
-        raise SampleError(f"{len(data)} samples cannot train a network: give at least 2 that differ.")
-    columns = Columns.of(data.drifted(np.random.default_rng([training.seed, DRIFTS])), parts)
+    few = drawn(data, training.seed)
+    parts = component_named(acting_component(few.force_n) if component is None else component)
+    few = few[Columns.of(few, parts).distinct()]
+    if len(few) < 2:
+        raise SampleError(f"{len(few)} samples cannot train a network: give at least 2 that differ.")
+    columns = Columns.of(few.drifted(np.random.default_rng([training.seed, DRIFTS])), parts)
     columns = without_stuck(columns, None if response is None else SensorModel.of(response, parts))
     if form.feature == "inverse":
         forward = explaining(response, columns)
-    elif form.feature == "auto" and response is not None and not data.is_finite.any():
+    elif form.feature == "auto" and response is not None and not few.is_finite.any():
         with suppress(SampleError):
             forward = explaining(response, columns) if form_named(form.net).sees_inputs else None
     if form.feature == "auto":
         form = replace(form, feature="root" if forward is None else "inverse")
-    return columns, form, training, forward
+    return Prepared(columns=columns, form=form, training=training, design=few.design, forward=forward, samples=few)
 
 
 def explaining(response: "ArrayResponse | None", data: Columns) -> SensorModel:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 from common.threads import one_blas_thread
 from dataset.samples import AnySamples
-from decoupler.data.enough import drawn
 from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig, Progress, TrainingConfig
 from decoupler.model_file import model_cache_key
@@ -60,20 +59,18 @@ def train(
     Readings are given the drifts that the design states, where they have less. Of more than `ENOUGH` samples a random
     draw is learned from: more would change the errors by half a percent.
     """
-    seed = training.seed if isinstance(training, TrainingConfig) else 0  # another type is refused below
-    few = drawn(data, seed)
-    columns, form, settings, forward = suited(few, component, network, training, response)
-    n, name = len(columns), columns.component.name
+    known = suited(data, component, network, training, response)
+    few, name = known.samples, known.columns.component.name
+    assert few is not None
     if few.is_finite.any() and name == "all" and response is not None:
         few = few[few.is_finite]
-        n = len(few)
-        trained: Decoupler = trained_at_strain(few, response, settings, progress)
+        trained: Decoupler = trained_at_strain(few, response, known.training, progress)
     else:
-        trained = fitted_network(columns, form, settings, few.design, forward, progress, judged)
+        trained = fitted_network(known, progress, judged)
     story = {
-        "recipe": model_cache_key(data, name, network or NetworkConfig(), settings, response),
+        "recipe": model_cache_key(data, name, network or NetworkConfig(), known.training, response),
         "data_hash": data.content_hash,
-        "n_samples": n,
+        "n_samples": len(few),
     }
     of_twin = {name: few.made_from[name] for name in ("twin",) if name in few.made_from}
     return replace(trained, made_from=of_twin | trained.made_from | story)

@@ -6,15 +6,14 @@ import torch
 from torch import Tensor
 
 from decoupler.model.network import Outcome
-from decoupler.model.settings import Progress, TrainingConfig
-from decoupler.training.damping import Point, minimise
+from decoupler.training.damping import Point, Quadratic, minimise
 from decoupler.training.weights import TrainingSet
 
 CLOSE_ENOUGH = 0.1  #: relative residual at which conjugate gradients end; 0.3 stalls sooner, 0.03 costs more
 MAX_PRODUCTS = 40  #: with the matrix in a step
 
 
-class Projected:
+class Projected(Quadratic):
     """The quadratic that variable projection sees near a point, as products with its matrix, never formed.
 
     Notes
@@ -28,13 +27,8 @@ class Projected:
     """
 
     def __init__(self, samples: TrainingSet, ridge: float, point: Point) -> None:
-        self.samples, self.ridge, self.point = samples, ridge, point
-        X, (h, p) = samples.X, point.hidden.shape
-        A = samples.activations(point.hidden)
-        W2 = point.output[:, :h]
-        self.s = 1.0 - A[:, :h] ** 2
-        self.K = W2.T @ W2
-        self.gradient = (((A @ point.output.T - samples.targets) @ W2) * self.s).T @ X  # (h, p)
+        super().__init__(samples, point)
+        self.ridge, A, X, (h, p) = ridge, self.A, samples.X, point.hidden.shape
         M = gram(A)
         M.diagonal().add_(ridge)
         L = torch.linalg.cholesky(M)
@@ -83,7 +77,6 @@ class Projected:
         return found
 
     def step(self, damping: float) -> tuple[Point, float] | None:
-        """The point after a damped step, and the fall in cost the quadratic promises; None if singular."""
         direction = self.direction(damping, CLOSE_ENOUGH, MAX_PRODUCTS)
         if direction is None:
             return None
@@ -98,30 +91,25 @@ def gram(Z: Tensor) -> Tensor:
 
 
 def projected(samples: TrainingSet, hidden: Tensor, ridge: float) -> Point:
-    """Hidden weights with the output weights that are best for them; cost ½‖r‖² + ½ ridge ‖W₂‖²."""
+    """Hidden weights with the output weights that are best for them."""
     A = samples.activations(hidden)
     M = gram(A)
     M.diagonal().add_(ridge)
     output = torch.cholesky_solve(A.T @ samples.targets, torch.linalg.cholesky(M)).T
-    residual = A @ output.T - samples.targets
-    squares = torch.sum(residual**2).item()
-    cost = 0.5 * (squares + ridge * torch.sum(output**2).item())
-    return Point(hidden, output, cost, squares / residual.numel())
+    return Point.at(samples, A, hidden, output, ridge)
 
 
-def train_varpro(
-    samples: TrainingSet, hidden: Tensor, output: Tensor, config: TrainingConfig, progress: Progress
-) -> tuple[Point, Outcome]:
+def train_varpro(samples: TrainingSet, hidden: Tensor, output: Tensor) -> tuple[Point, Outcome]:
     """Train from the given hidden weights (n_hidden, n_in+1); what the output layer starts from is not looked at.
 
     Samples that the task holds out are kept for validation. The hidden layer with the lowest validation error is
     returned, which may be that of weights 0, a linear map. The output layer is then fitted to all samples.
     """
-    ridge, n, held_out = samples.task.ridge, len(samples.X), len(samples.task.held_out)
-    samples = samples[samples.task.order]
+    task, n = samples.task, len(samples.X)
+    ridge, held_out, samples = task.ridge, len(task.held_out), samples[task.order]
     if not held_out:
         start = projected(samples, hidden, ridge)
-        return minimise(start, lambda point: Projected(samples, ridge, point), config, progress)
+        return minimise(start, lambda point: Projected(samples, ridge, point), task)
     fitted, judging = samples[: n - held_out], samples[n - held_out :]
     share = ridge * (n - held_out) / n
 
@@ -129,7 +117,7 @@ def train_varpro(
         return torch.mean((judging.activations(point.hidden) @ point.output.T - judging.targets) ** 2).item()
 
     start = projected(fitted, hidden, share)
-    best, outcome = minimise(start, lambda point: Projected(fitted, share, point), config, progress, judge)
+    best, outcome = minimise(start, lambda point: Projected(fitted, share, point), task, judge)
     linear = projected(fitted, torch.zeros_like(hidden), share)
     found = projected(samples, linear.hidden if judge(linear) <= judge(best) else best.hidden, ridge)
     return found, replace(outcome, mse=found.mse)

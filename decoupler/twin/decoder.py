@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.measurement import ReadingError
-from decoupler.data.columns import Columns, Scaling
+from decoupler.data.columns import Columns
 from decoupler.data.usual_loads import light_loads
 from decoupler.inverse.posterior import Posterior
 from decoupler.inverse.sensor_model import ModelInverse
@@ -18,7 +18,7 @@ from decoupler.model.usual import UsualLoads
 from decoupler.readings import MIN_WHOLE_OHM
 from decoupler.solve import best_ridge, ridge
 from decoupler.training.error_bars import with_uncertainty
-from decoupler.training.finite_strain import drawn_samples, refined
+from decoupler.training.finite_strain import refined
 from decoupler.training.one_layer import Skip
 from decoupler.twin.posterior import Specimen
 from geometry.design import SensorDesign
@@ -66,10 +66,9 @@ def decoder_of(
     inverse = ModelInverse.about(
         forward, loads_n, data.readable, unsure, lambda some_n: forward.lengths_of(read(some_n))
     )
-    scaling = Scaling.fitted(force_n)
-    front = Front.of(data, inverse, scaling)
+    front = Front.of(data, inverse, data.force_scaling)
     inputs = front.inputs(data.resistance_ohm)
-    A, missing = np.column_stack([inputs, np.ones(len(inputs))]), scaling.scale(force_n) - inputs
+    A, missing = np.column_stack([inputs, np.ones(len(inputs))]), data.force_scaling.scale(force_n) - inputs
     penalty = best_ridge(A, missing)
     network = Skip(hidden=np.empty((0, A.shape[1])), output=ridge(A, missing, penalty).T).beside_inputs()
     form = NetworkConfig(hidden=0, net="skip", feature="inverse")
@@ -78,7 +77,7 @@ def decoder_of(
         usual=UsualLoads.of(data[: len(loads_n)]),
         ensemble=found.ensemble,
     )
-    return with_uncertainty(trained, data, penalty, len(light_n))
+    return with_uncertainty(trained, data, inputs, penalty, len(light_n))
 
 
 def decoder_at_strain(
@@ -89,5 +88,4 @@ def decoder_at_strain(
     `designed` is the posterior of forces on the design; other arguments are as of `decoder_of`.
     """
     own = replace(designed, forward=found.sensor, misfit=found.expected.widths.misfit)
-    drawn = drawn_samples(own, loads_n, design, errors, found.ensemble)
-    return replace(refined(own, drawn, design), ensemble=found.ensemble)
+    return replace(refined(own, loads_n, design, errors, found.ensemble), ensemble=found.ensemble)

@@ -22,8 +22,8 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.inverse.strain_maps import FEW, N_CURVED, N_FEATURES, WITH_OWN, StrainMaps, neighbours
 from decoupler.model_file import write_model
 from decoupler.training import finite_strain
-from decoupler.training.finite_strain import states_of, with_strain_maps
-from decoupler.twin import identification, identify, near_designs, read_twin, simulate_twin, strained_draws, write_twin
+from decoupler.training.finite_strain import posterior_of, states_of
+from decoupler.twin import identification, identify, near_designs, read_twin, simulate_twin, twin_samples, write_twin
 from decoupler.twin.expectation import Expectation
 from fem.array.response import ArrayResponse
 from fem.array.sensitivities import ResponseSensitivities
@@ -92,14 +92,14 @@ def learned(layout: str = "song2018"):
 def test_maps_are_learned_from_samples():
     """300 samples leave a hundredth of what the linear response misses on 200 others; left-out errors foretell it."""
     truth = samples(law(1.0))
-    found, test = with_strain_maps(RESPONSE, truth[:300]), truth[1000:]
+    found, test = posterior_of(RESPONSE, truth[:300]).forward, truth[1000:]
     squares, _, force_n, _ = found.at_states(STATES[1000:])
     true_n, true = test.force_n.reshape(200, -1), test.length_mm.reshape(200, -1) ** 2
     assert np.std(force_n - true_n) < 0.01 * np.std(STATES[1000:] - true_n)
     assert np.std(squares - true) < 0.01 * np.std(LINEAR.lengths(STATES[1000:]) ** 2 - true)
     assert np.sqrt(np.mean(found.maps.misfit[:3] ** 2)) == pytest.approx(np.std(force_n - true_n), rel=0.5)
     with pytest.raises(SampleError, match="hold no displacements"):
-        with_strain_maps(RESPONSE, truth.labels())
+        posterior_of(RESPONSE, truth.labels())
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_maps_of_every_layout_follow_the_solver_under_loads_that_they_have_not_s
     length_mm = pillar_lengths(moved, unit)
     data = replace(samples, design=design, displacement_mm=moved, length_mm=length_mm, resistance_ohm=length_mm**2)
     linear = replace(response, design=design, influence_mm_per_n=response.influence_mm_per_n[:, :, own])
-    forward, test = with_strain_maps(linear, data[:60]), data[60:]
+    forward, test = posterior_of(linear, data[:60]).forward, data[60:]
     force_n, squares = test.force_n.reshape(20, 3), test.length_mm.reshape(20, -1) ** 2
     state_n = forward.maps.states(force_n)
     missed_n = states_of(test.displacement_mm, forward.maps.influence)
@@ -148,7 +148,7 @@ def test_maps_leave_a_reference_alone():
     rest = np.full((300, 1, 2, 1), np.sqrt(300.0))
     length_mm = np.concatenate([truth.length_mm, rest], axis=3)
     data = replace(truth, design=design, length_mm=length_mm, resistance_ohm=length_mm**2)
-    found, own = (with_strain_maps(replace(RESPONSE, design=one.design), one).maps for one in (data, truth))
+    found, own = (posterior_of(replace(RESPONSE, design=one.design), one).forward.maps for one in (data, truth))
     assert np.array_equal(found.influence, own.influence)
     assert found.weights[:, :6] == pytest.approx(own.weights, abs=1e-6 * np.abs(own.weights).max())
     assert not found.weights[:, 6].any()
@@ -166,7 +166,7 @@ def test_mirrored_forces_are_known():
         linear = SensorModel.of(given, ALL)
         maps = replace(law(0.0).maps, influence=linear.influence, weights=weights)
         truth = replace(linear, maps=maps)
-        found = with_strain_maps(given, samples(truth)[:20])
+        found = posterior_of(given, samples(truth)[:20]).forward
         off_n = forces(found.maps, flipped) - forces(maps, flipped)
         missed.append(np.std(off_n[:, 1::3]) / np.std(forces(maps, flipped)[:, 1::3] - flipped[:, 1::3]))
     assert missed[0] < 0.02
@@ -328,7 +328,7 @@ def test_samples_of_a_twin_are_of_sensors_that_its_decoder_holds_possible(tmp_pa
     assert np.array_equal(part.resistance_ohm, drawn.resistance_ohm[BLOCK:])
     with pytest.raises(SampleError, match="of a twin hold no displacements: its own decoder has learned finite strain"):
         train(drawn, response=known)
-    with mock.patch.object(strained_draws, "MAX_DRAWS", 2), pytest.raises(LoadError, match="lower the loads"):
+    with mock.patch.object(twin_samples, "MAX_DRAWS", 2), pytest.raises(LoadError, match="lower the loads"):
         simulate_twin(twin, known, replace(many, pressure_mpa=(20.0, 25.0), samples=2))
     virtual = VirtualSensor(tmp_path / "twin.toml", environments=20)
     virtual._member[:] = torch.arange(20)

@@ -8,11 +8,9 @@ import pytest
 
 from common.errors import ArgumentError, DesignError
 from dataset import DatasetSettings, SampleError, read_samples, simulate
-from dataset.samples import joined
+from dataset.samples import drawn, joined
 from decoupler import NetworkConfig, TrainingConfig, assess, cross_validate, evaluate, train
-from decoupler.data import enough
 from decoupler.data.columns import COMPONENTS, Columns, Scaling, acting_component, component_named, load_numbers
-from decoupler.data.enough import drawn
 from decoupler.evaluation.crossval import jobs_of, split_folds, summary
 from decoupler.evaluation.metrics import component_errors
 from decoupler.inverse.sensor_model import SensorModel
@@ -140,9 +138,9 @@ MANY = 3000  #: more samples are not held together
 def test_few_are_all_and_many_a_random_draw_from_memory_and_disk_alike(tmp_path, monkeypatch):
     """The draw trains to the bit; errors are those on all samples. Sums over blocks round otherwise: by 1e-12."""
     own = response(sensor(1, 2))
-    for module in ("data.enough", "evaluation.metrics", "evaluation.assessment"):
-        monkeypatch.setattr(f"decoupler.{module}.ENOUGH", MANY)
-    monkeypatch.setattr(enough.drawn, "__defaults__", (0, MANY))
+    for module in ("metrics", "assessment"):
+        monkeypatch.setattr(f"decoupler.evaluation.{module}.ENOUGH", MANY)
+    monkeypatch.setattr(drawn, "__defaults__", (0, MANY))
     many = simulate(own, DatasetSettings(protocol="three-axis", samples=MANY + 7000, noise=1e-3)).labels()
     many.write(tmp_path / "many.zarr")
     stored = read_samples(tmp_path / "many.zarr")

@@ -123,7 +123,7 @@ def test_the_feature_needs_a_response_that_explains_the_data():
         (DATA, "skip", None, "root"),
         (replace(DATA, force_n=SHUFFLED), "skip", RESPONSE, "root"),
     ):
-        assert suited(data, "all", NetworkConfig(net=net), None, given)[1].feature == feature
+        assert suited(data, "all", NetworkConfig(net=net), None, given).form.feature == feature
 
 
 BITS = 12

@@ -13,7 +13,8 @@ from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.network import Task
 from decoupler.solve import RIDGES, best_ridge
 from decoupler.training import fitting
-from decoupler.training.levenberg_marquardt import GaussNewton, point_at
+from decoupler.training.damping import Point
+from decoupler.training.levenberg_marquardt import GaussNewton
 from decoupler.training.momentum import momentum_step
 from decoupler.training.varpro import Projected, projected, train_varpro
 from decoupler.training.weights import TrainingSet, starting_weights
@@ -58,7 +59,7 @@ def test_blocks_gradient_and_step_equal_the_dense_ones(problem):
         return (A @ output.T - samples.targets).reshape(-1)
 
     J = torch.cat([J.flatten(1) for J in torch.func.jacrev(residual, argnums=(0, 1))(hidden, output)], dim=1)
-    blocks, p = GaussNewton(samples, point_at(samples, hidden, output)), N_IN + 1
+    blocks, p = GaussNewton(samples, Point.at(samples, samples.activations(hidden), hidden, output)), N_IN + 1
     K = blocks.K.repeat_interleave(p, 0).repeat_interleave(p, 1)
     C = blocks.C.view(N_HIDDEN, p, -1)
     between = torch.einsum("kj,jab->jakb", blocks.W2, C).reshape(N_HIDDEN * p, -1)
@@ -66,7 +67,7 @@ def test_blocks_gradient_and_step_equal_the_dense_ones(problem):
     assert_close(torch.cat([torch.cat([K * blocks.ZtZ, between], 1), torch.cat([between.T, AtA], 1)], 0), J.T @ J)
     assert blocks.scale == pytest.approx((J.T @ J).diagonal().max().item(), rel=1e-12)
     downhill = J.T @ residual(hidden, output)
-    assert_close(torch.cat([blocks.gradient_hidden.flatten(), blocks.gradient_output.flatten()]), downhill)
+    assert_close(torch.cat([blocks.gradient.flatten(), blocks.gradient_output.flatten()]), downhill)
     for damping in (1e-3, 1.0, 1e3):
         step = blocks.direction(damping)
         expected = torch.linalg.solve(J.T @ J + damping * eye(J.shape[1]), -downhill)
@@ -116,8 +117,8 @@ def test_hidden_layer_never_sees_what_is_held_out():
     for changed in (0.0, 0.01):
         other, errors = asked.targets.copy(), []
         other[asked.held_out] += changed
-        samples = TrainingSet(replace(asked, targets=other), True)
-        train_varpro(samples, *starting_weights(samples), asked.training, lambda _, mse, to=errors: to.append(mse))
+        told = replace(asked, targets=other, progress=lambda _, mse, to=errors: to.append(mse))
+        train_varpro(samples := TrainingSet(told, True), *starting_weights(samples))
         paths.append(errors)
     assert paths[0] == paths[1]
 

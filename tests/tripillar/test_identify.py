@@ -7,7 +7,6 @@ import pytest
 
 from common.errors import DesignError
 from dataset import DatasetSettings, Samples, read_samples, simulate
-from decoupler.data import enough
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
 from decoupler.inverse.sensor_model import SensorModel
@@ -131,7 +130,7 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
     with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
         identifying.identify(many, DESIGN, finite=other)
-    monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
+    monkeypatch.setattr("dataset.samples.drawn", lambda data: data[:7])
     with called_by(Caller(say=said.append)):
         assert identifying.identify(many, DESIGN).n_pairs == 7
     assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said

@@ -5,7 +5,7 @@ Until then they are in a folder beside it, so that a killed run is taken up agai
 
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from dataset.leaves import Leaf, leaf_size, n_leaves, packed, put, write_header,
 from dataset.measurement import Readout
 from dataset.samples import Samples
 from dataset.settings import DatasetSettings
-from dataset.simulation import dataset_cache_key, simulate, simulate_part
+from dataset.simulation import dataset_cache_key, simulate_part
 from dataset.stored import is_current, read_samples
 from dataset.variables import LABELS
 from decoupler.twin.twin_file import TwinFile
@@ -72,17 +72,13 @@ class LeafJob:
 
     def whole(self, progress: Callable[[int], None]) -> Samples:
         """All samples, in memory."""
-        if self.twin is None:
-            return simulate(self.response, self.settings, progress, self.readout, self.only)
-        samples = simulate_twin(self.twin, self.response, self.settings, progress, self.readout)
-        return samples if self.only is None else samples.only(*self.only)
+        return self.part(range(self.settings.samples), progress, os.cpu_count() or 1)
 
-    def part(self, first: int, size: int) -> Samples:
-        """So many samples from a multiple of `BLOCK` on."""
-        numbers = range(first, first + size)
+    def part(self, numbers: range, progress: Callable[[int], None] = lambda samples: None, threads: int = 1) -> Samples:
+        """Samples of these numbers, the first a multiple of `BLOCK`."""
         if self.twin is None:
-            return simulate_part(self.response, self.settings, numbers, readout=self.readout, only=self.only)
-        samples = simulate_twin(self.twin, self.response, self.settings, readout=self.readout, numbers=numbers)
+            return simulate_part(self.response, self.settings, numbers, progress, self.readout, self.only, threads)
+        samples = simulate_twin(self.twin, self.response, self.settings, progress, self.readout, numbers)
         return samples if self.only is None else samples.only(*self.only)
 
 
@@ -90,7 +86,8 @@ def leaf(number: int, job: LeafJob) -> tuple[Leaf, int]:
     """Make a leaf, in a worker; it, and how often its samples were redrawn."""
     # products of a linear twin's matrices round by the number of rows: whole leaves are the same whatever is wanted
     is_whole = job.twin is not None and not job.twin.is_at_strain
-    samples = job.part(number * job.leaf_size, job.leaf_size if is_whole else job.size(number))
+    first, size = number * job.leaf_size, job.leaf_size if is_whole else job.size(number)
+    samples = job.part(range(first, first + size))
     arrays = {name: values[: job.size(number)] for name, values in samples.arrays().items()}
     chunk = min(job.leaf_size, job.settings.samples)
     return packed(arrays, number, chunk, job.dtype), samples.made_from["redrawn"]
@@ -127,9 +124,10 @@ def make_directory(
     NotWrittenError
         If the disk is full or the place may not be written to. What was made is kept.
     """
-    first = job.part(0, 1)  # refuses what no worker could make
+    first = job.part(range(1))  # refuses what no worker could make
     recipe = digest("zarr", first.made_from["recipe"], job.named, job.dtype)
     folder = unfinished(out, job)
+    tree = folder / "data.zarr"
     if is_current(out, recipe):
         progress(job.settings.samples)
         shutil.rmtree(folder, ignore_errors=True)
@@ -138,24 +136,21 @@ def make_directory(
     go_on = f"the samples in {folder} are kept: give the same command again to go on."
     with reported(out, folder / "any"), journal.alone(), last_words(f"stopped; {go_on}"):
         try:
-            read = {number: journal.read(job.key(number), partial(intact, folder / "data.zarr")) for number in numbers}
-            found = {number: record for number, record in read.items() if record is not None}
-            kept = sum(job.size(number) for number in found)
+            found = journal.kept(map(job.key, numbers), partial(intact, tree))
+            missing = [number for number in numbers if job.key(number) not in found]
+            kept = job.settings.samples - sum(map(job.size, missing))
             progress(kept)
-            missing = [number for number in numbers if number not in found]
             with open_pool(count, scheduler, len(missing)) as pool:
                 for number, (made, redrawn) in made_parts(pool, leaf, missing, "parts of the data set", job):
-                    write_leaf(folder / "data.zarr", made)
-                    found[number] = {
-                        "redrawn": redrawn,
-                        "files": hashes_of(made.content),
-                        "hashes": made.hashes,
-                    }
-                    journal.keep(job.key(number), found[number])
+                    write_leaf(tree, made)
+                    record = {"redrawn": redrawn, "files": hashes_of(made.content), "hashes": made.hashes}
+                    found[job.key(number)] = record
+                    journal.keep(job.key(number), record)
                     progress(job.size(number))
             redrawn = sum(record["redrawn"] for record in found.values())
-            _finish(folder, job, found, first.attributes() | {"redrawn": redrawn, "recipe": recipe})
-            put(folder / "data.zarr", Path(os.path.realpath(out)))
+            records = [found[job.key(number)] for number in numbers]
+            _finish(tree, job, records, first.attributes() | {"redrawn": redrawn, "recipe": recipe})
+            put(tree, Path(os.path.realpath(out)))
         except Exception as error:
             if not journal.keys():
                 shutil.rmtree(folder, ignore_errors=True)
@@ -172,22 +167,13 @@ def unfinished(out: Path, job: LeafJob) -> Path:
     return target.with_name(f"{target.name}.unfinished-{job.cache_key[:8]}")
 
 
-def _finish(folder: Path, job: LeafJob, records: Mapping[int, dict[str, Any]], attributes: Mapping[str, Any]) -> None:
-    """Add the headers, last of all, and remove what is of a longer data set."""
-    tree, header = folder / "data.zarr", folder / "header"
-    names = records[0]["hashes"]
-    wanted = {tree / name for number in job.numbers for name in records[number]["files"]}
-    for path in tree.glob("*/*"):
-        if path not in wanted:
+def _finish(tree: Path, job: LeafJob, records: Sequence[dict[str, Any]], attributes: Mapping[str, Any]) -> None:
+    """Add the headers, last of all, where nothing but the leaves is left: no longer data set's, no half a header."""
+    wanted = {tree / name for record in records for name in record["files"]}
+    for path in list(tree.rglob("*")):
+        if path.is_file() and path not in wanted:
             path.unlink()
-    shutil.rmtree(header, ignore_errors=True)
-    hashes = {name: [records[number]["hashes"][name] for number in job.numbers] for name in names}
+    hashes = {name: [record["hashes"][name] for record in records] for name in records[0]["hashes"]}
     design = job.response.design
     shape = job.settings.samples, design.array.rows, design.array.cols
-    write_header(header, shape, hashes, attributes, job.dtype, design.unit.layout, job.settings.time_s)
-    for path in sorted(header.rglob("*")):
-        target = tree / path.relative_to(header)
-        if path.is_dir():
-            target.mkdir(exist_ok=True)
-        else:
-            path.replace(target)
+    write_header(tree, shape, hashes, attributes, job.dtype, design.unit.layout, job.settings.time_s)

@@ -2,9 +2,8 @@
 
 from common.errors import DesignError, require_type
 from dataset import SampleError, Samples
-from dataset.samples import AnySamples
+from dataset.samples import AnySamples, drawn
 from decoupler.data.columns import COMPONENTS, Columns, Component
-from decoupler.data.enough import drawn
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.plausibility import disturbance, doubt, suspicion
 from decoupler.inverse.sensor_model import SensorModel

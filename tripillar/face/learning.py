@@ -431,7 +431,7 @@ def _checked(
         solved = stages.response_of(samples, name, sensor, response)
     is_finite = samples.is_finite.any()
     stages.require_heeded(samples, name, design, named == "all" and solved is not None, (hidden, net, feature))
-    _, network, _, _ = stages.suited(samples, named, network, None, solved)
+    network = stages.suited(samples, named, network, None, solved).form
     chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not is_finite:
         note = "the response of the design does not explain these data: inputs are √R"

@@ -12,14 +12,13 @@ if TYPE_CHECKING:
     from dataset.loads import PAPERS, Loads, loads_of
     from dataset.measurement import ReadingError, Readout
     from dataset.protocols import INDENT, PROTOCOLS, forces, pad_protocol
-    from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
+    from dataset.samples import ENOUGH, AnySamples, Samples, drawn, joined, require_dtype, require_samples
     from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import TABLES, holds_samples, write_table
     from dataset.variables import ARRAYS, VARIABLES
     from decoupler.data.columns import Columns, acting_component, component_named
-    from decoupler.data.enough import ENOUGH, drawn
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import usual_loads
@@ -56,7 +55,7 @@ if TYPE_CHECKING:
     from decoupler.twin.expectation import Expectation
     from decoupler.twin.identification import N_LOADS, Twin, identify
     from decoupler.twin.next_load import KITCHEN, NextLoad, loads_at_hand, next_loads
-    from decoupler.twin.strained_draws import StrainedDraws
+    from decoupler.twin.twin_samples import StrainedDraws
     from decoupler.twin.twin_file import TwinFile, read_twin, write_twin
     from fem.array.response import ArrayResponse, write_response
     from fem.array.sensitivities import ResponseSensitivities, response_sensitivities
