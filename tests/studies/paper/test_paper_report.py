@@ -46,7 +46,7 @@ from tripillar.terminal.progress import Bars
 
 FEW = Asked(pitches_mm=(14.0, 20.0), wider_mm=(30.0,))
 SMALL = Experiments(
-    widths=(1, 2, 3), training_samples=100, test_samples=20, folds=2, table_nodes={"fz": 2, "fx": 3}, shown_nodes=3,
+    widths=(1, 2), training_samples=100, test_samples=20, folds=2, table_nodes={"fz": 2, "fx": 3}, shown_nodes=3,
     shown_samples=5,
 )  # fmt: skip
 
