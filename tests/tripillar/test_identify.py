@@ -20,7 +20,7 @@ from tests.house import House
 from tripillar.face import identifying, stages
 from tripillar.face.caller import Caller, called_by
 
-DESIGN = sensor(2, 3)
+DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
 SENSITIVITIES = softness(DESIGN)
 LOADS = """load,kind,row,col,fx_n,fz_n,error,tilt,share
@@ -34,13 +34,13 @@ TO_MODEL = ("-o", "m.safetensors")
 
 
 def shown(force_n):
-    """Resistances of the sensor under forces (n, 2, 3, 3)."""
+    """Resistances of the sensor under forces (n, 3, 3, 3)."""
     everything = component_named("all")
-    return SensorModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 2, 3, 3)
+    return SensorModel.of(RESPONSE, everything).resistances(force_columns(force_n, everything)).reshape(-1, 3, 3, 3)
 
 
 def forces(n):
-    return np.random.default_rng(0).uniform(0.0, 1.0, (n, 2, 3, 3)) * [50.0, 50.0, 500.0]
+    return np.random.default_rng(0).uniform(0.0, 1.0, (n, 3, 3, 3)) * [50.0, 50.0, 500.0]
 
 
 def _derivatives(design, tolerances=None):
@@ -64,8 +64,8 @@ def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
     told = house.result(*IDENTIFY, "--data", "pairs.csv", *TO_MODEL, "--next", "3")
     assert told["pairs"] == 4
     assert told["parameters"]["rubber.young_mpa"][0] == pytest.approx(6.1, rel=0.05)
-    force_n = np.zeros((1, 2, 3, 3))
-    force_n[0, 1, 0] = [20.0, 0.0, 300.0]
+    force_n = np.zeros((1, 3, 3, 3))
+    force_n[0, 2, 0] = [20.0, 0.0, 300.0]
     assert read_model(house.folder / "m.safetensors").forces(shown(force_n)) == pytest.approx(force_n, abs=10.0)
     errors = [told["next"][0]["error_before"], *(each["error"] for each in told["next"])]
     assert errors == sorted(errors, reverse=True)
@@ -129,7 +129,7 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     assert by_command["excess"] == twin.posterior.excess
     many, said = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels(), []
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
-    with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 2 × 3"):
+    with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
         identifying.identify(many, DESIGN, finite=other)
     monkeypatch.setattr(enough, "drawn", lambda data: data[:7])
     with called_by(Caller(say=said.append)):
