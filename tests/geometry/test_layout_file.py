@@ -90,3 +90,9 @@ def test_a_text_that_is_no_layout_is_refused():
     for text in ("six pillar", '{"electrode": [', "{" + '"a":{' * 20000):
         with pytest.raises(DesignError):
             layout_from_text(text)
+
+
+def test_an_electrode_of_a_reference_alone_is_idle_in_the_layout_already():
+    """A design, which asks again without the references, would hide it."""
+    with pytest.raises(DesignError, match="no pillar joins U2"):
+        replace(SONG2018, pillars=(*SONG2018.pillars[:2], replace(SONG2018.pillars[2], reference=True)))
