@@ -30,7 +30,7 @@ SHARED = Path(os.environ["TRIPILLAR_TESTS"])  #: folder of all tests of a sessio
 LONG_FIRST = ("tests/docs/", "tests/studies/", "tests/tripillar/")
 #: what tests name that Windows cannot run: pseudo-terminals, the firmware, signals and files of POSIX, the laboratory
 POSIX = re.compile(
-    r"\b(PythonBoard|SimavrBoard|tp\.board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|resource)\b"
+    r"\b(PythonBoard|SimavrBoard|tp\.board|boards|pty|openpty|preexec_fn|mkfifo|chmod|getuid|os\.uname|room_for)\b"
     r"|SIGKILL|SIGSTOP|SIGUSR|\"board\"|import studies|from studies"
 )
 HERE = Path(__file__).parent

@@ -4,8 +4,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from unittest.mock import patch
@@ -24,6 +24,20 @@ def run_here(words: Iterable[str], folder: Path, environment: Mapping[str, str],
             main()
         except SystemExit as end:
             return int(end.code or 0)
+
+
+@contextmanager
+def room_for(size: int) -> Iterator[None]:
+    """A limit on the size of files [bytes] stands for a full disk; compiled ones, cut off at it, would stay there."""
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        with patch.object(sys, "dont_write_bytecode", True):
+            yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 class House:

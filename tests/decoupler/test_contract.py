@@ -1,5 +1,6 @@
 """What every decoder keeps, whatever sensor it decodes and whatever it learned from: decoders × guarantees."""
 
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -184,8 +185,9 @@ def of_net_force(model: Decoder) -> np.ndarray:
     return weights.reshape(-1, 1)
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(params=CASES, scope="module")
 def case(request) -> Case:
+    """One after another with all their guarantees, so that several processes make few of them twice."""
     return made(request.param)
 
 
@@ -257,11 +259,12 @@ LEAST_NET_HELD = {"exact": 0.8, "upright-four": 0.7, "all-skip-root": 0.75, "pla
 LEAST_NET_HELD |= {"dead-inverse": 0.65, "dead-root": 0.7}
 
 
-@pytest.fixture(params=EVERY)
+@pytest.fixture(params=EVERY, scope="module")
 def every(request) -> tuple[str, Case]:
-    if request.param == "bare":
-        request.getfixturevalue("shared_cache")
-    return request.param, each_made(request.param)
+    """The same; presses of the library are those of other tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRIPILLAR_CACHE", f"{os.environ['TRIPILLAR_TESTS']}/cache")
+        return request.param, each_made(request.param)
 
 
 def test_its_file_gives_the_same_bits(every, tmp_path):
@@ -289,8 +292,8 @@ def test_a_scan_alone_gives_the_bits_of_the_batch(every):
     batch = model.forces(ohms)
     assert batch.shape == (*ohms.shape[:3], len(model.component.axes))
     for size in (1, 3):
-        parts = [model.forces(ohms[start : start + size]) for start in range(0, 2 * SCANS, size)]
-        np.testing.assert_array_equal(np.concatenate(parts)[: 2 * SCANS], batch[: 2 * SCANS])
+        parts = [model.forces(ohms[start : start + size]) for start in range(0, SCANS, size)]
+        np.testing.assert_array_equal(np.concatenate(parts)[:SCANS], batch[:SCANS])
 
 
 def test_what_is_no_scan_is_refused_and_what_is_not_read_does_no_harm(every):

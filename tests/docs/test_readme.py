@@ -14,6 +14,7 @@ import tripillar as tp
 from common.pool import open_pool
 from hardware import SensorCalibration, write_calibration
 from tests.docs.terminal import ROOT, Command, Terminal, console_commands, indented_commands, missing
+from tests.fem.scenes import coarse_cells, coarse_responses
 from tests.studies.one_process import one_after_another
 
 README = ROOT / "README.md"
@@ -28,13 +29,6 @@ OTHERWISE = {
     "tripillar design": "tripillar design --rows 1 --cols 2",
     "--samples 5000": "--samples 500",
     "--seconds [0-9]+": "--seconds 1",
-}
-#: for time, too: a coarse cell, a coarse field and small pictures; how well they are solved is not on trial
-COARSE = {
-    "array.design_cell.GRID_STAGES": {"soft": ((1, 2, 6),) * 3},
-    "array.design_cell.GRID_LEVEL": 1,
-    "array.design_cell.GRID_DEGREE": 4,
-    "pictures.deformation.HIGH_PX": 440,
 }
 MADE = {
     "sensor.toml", "response.nc", "train.nc", "test.nc", "measured.nc", "model.safetensors", "own.safetensors",
@@ -65,10 +59,14 @@ def test_the_readme_pasted_into_a_shell_runs_without_waiting(tmp_path):
 
 
 def test_the_commands_of_the_readme_run_as_typed(tmp_path, monkeypatch):
-    """In their order, in an empty folder, but for what is elsewhere; boards in a shell."""
+    """In their order, in an empty folder, but for what is elsewhere; boards in a shell.
+
+    For time, too: coarse cells and small pictures; how well they are solved is not on trial.
+    """
     monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
-    for name, value in COARSE.items():
-        monkeypatch.setattr(f"fem.{name}", value)
+    monkeypatch.setattr("fem.pictures.deformation.HIGH_PX", 440)
+    coarse_cells(monkeypatch)
+    coarse_responses(monkeypatch)
     here = [line for line in TYPED if line not in ELSEWHERE]
     for words, typed in OTHERWISE.items():
         assert any(re.search(words, line) for line in here)

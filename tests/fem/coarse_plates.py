@@ -14,6 +14,13 @@ from fem.contact import surface as surface_module
 from fem.contact.surface import conducted_by_tiles
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, upper_electrodes
+from tests.fem.scenes import coarse_cells
+
+
+def conduct_by(patch: pytest.MonkeyPatch, conductor: Conductor | None) -> None:
+    """Let one mesh of a unit serve as all of its meshes of conduction."""
+    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
+        patch.setattr(name, lambda unit, strained=False: UnitConductors(conductor, conductor, AT_REST))
 
 
 @contextmanager
@@ -22,10 +29,8 @@ def coarse(design: SensorDesign, level: int, degree: int) -> Iterator[None]:
     conductor = Conductor(unit_hexahedra(design.unit, 2, 1)) if design.electrics.is_conduction else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(surface_module, "_extrapolated", lambda source: source.condensed(level, degree))
-        patch.setattr("fem.array.design_cell.GRID_LEVEL", level)
-        patch.setattr("fem.array.design_cell.GRID_DEGREE", degree)
-        for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-            patch.setattr(name, lambda unit, strained=False: UnitConductors(conductor, conductor, AT_REST))
+        coarse_cells(patch, level, degree)
+        conduct_by(patch, conductor)
         patch.setattr(surface_module, "kept_value", lambda hint, kind, key, make: (make(), None, False))
         yield
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from skfem import MeshTet
 
 from fem.kernel.loads import DeadLoad
@@ -38,6 +39,17 @@ BESIDE = replace(SONG2018, pillars=(*SONG2018.pillars, PillarOf("r", "L2", "U2",
 def round_of(layout: Layout) -> Layout:
     """The same layout, its pillars round."""
     return replace(layout, pillars=tuple(replace(one, section="round") for one in layout.pillars))
+
+
+def coarse_cells(patch: pytest.MonkeyPatch, level: int = 1, degree: int = 4) -> None:
+    """Let arrays be drawn, conduct and be pressed by cells of one coarse grid: in a tenth of the time."""
+    patch.setattr("fem.array.design_cell.GRID_LEVEL", level)
+    patch.setattr("fem.array.design_cell.GRID_DEGREE", degree)
+
+
+def coarse_responses(patch: pytest.MonkeyPatch) -> None:
+    """Answer arrays of one rubber by the coarsest pair of grids, whatever the tolerance, in a cache of their own."""
+    patch.setattr("fem.array.design_cell.GRID_STAGES", {"soft": ((1, 2, 6),) * 3})
 
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))

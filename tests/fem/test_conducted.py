@@ -6,19 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fem.array import conducted as module
 from fem.array.conducted import USUAL, conducted_by_loads, conducted_pillars, displacement_gradients
 from fem.array.coupled_cells import CoupledArray
 from fem.array.design_cell import DesignCell
 from fem.array.response import ArrayResponse, ConductedPillars, read_response, write_response
-from fem.conduction import potentials
 from fem.conduction.meshes import unit_hexahedra
 from fem.conduction.potentials import (
-    AT_REST,
     INERT,
     Conductor,
     Piezoresistivity,
-    UnitConductors,
     pillars_per_mm,
     second_derivatives,
 )
@@ -26,6 +22,8 @@ from fem.contact.surface import COMPONENTS
 from fem.contact.tiles import cell_rectangles
 from geometry.design import Array, Electrics, Pad, SensorDesign, Unit
 from geometry.layout import LAYOUTS
+from tests.fem.coarse_plates import conduct_by
+from tests.fem.scenes import coarse_cells
 
 COARSE = Conductor(unit_hexahedra(Unit(), 2, 1))
 
@@ -47,17 +45,14 @@ def pressed(request):
     conductor = Conductor(unit_hexahedra(unit, 2, 1))
     design = SensorDesign(unit=unit, array=Array(rows=1, cols=1), electrics=Electrics(model="conduction"))
     with pytest.MonkeyPatch.context() as patch:  # all that follows is of this one cell
-        patch.setattr("fem.array.design_cell.GRID_LEVEL", 1)
-        patch.setattr("fem.array.design_cell.GRID_DEGREE", 4)
+        coarse_cells(patch)
         interior = DesignCell(design).interior()
         n = len(interior.cell.stiffness) + 3
         seen = CoupledArray(interior.cell, 1, 1).seen(np.eye(n), range(3))[0][0, :, 0]
         electrodes = np.hstack([interior.cell.transfer[:, 3:].T, interior.cell.compliance[3:, :3]])
         influence = (electrodes @ seen).reshape(1, 1, -1, 3, 1, 1, 3)
         patch.setattr(DesignCell, "interior", lambda *_: interior)
-        for where in (module, potentials):
-            both = UnitConductors(conductor, conductor, AT_REST)
-            patch.setattr(where, "unit_conductors", lambda unit, strained=False, both=both: both)
+        conduct_by(patch, conductor)
         found = conducted_pillars(design, influence)
     response = ArrayResponse(
         design=design, influence_mm_per_n=influence, conducted=found, residual=0.0, unknowns=1, seconds={}
@@ -95,10 +90,8 @@ def follow_whole_solves(found: ConductedPillars, force_n: np.ndarray, whole: Cal
 def test_polynomials_follow_whole_solves_under_a_plate_and_what_touches_beside_it(monkeypatch: pytest.MonkeyPatch):
     """Loads on all tiles of a top: pressure that turns the plate, shear, and a finger beside it."""
     design = SensorDesign(array=Array(rows=1, cols=1), pad=Pad(kind="stiff"), electrics=Electrics(model="conduction"))
-    monkeypatch.setattr("fem.array.design_cell.GRID_LEVEL", 1)
-    monkeypatch.setattr("fem.array.design_cell.GRID_DEGREE", 4)
-    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-        monkeypatch.setattr(name, lambda unit, strained=False: UnitConductors(COARSE, COARSE, AT_REST))
+    coarse_cells(monkeypatch)
+    conduct_by(monkeypatch, COARSE)
     interior, n = DesignCell(design, cell_rectangles(design)).interior(), 3 * 7 * 7
     amplitudes = CoupledArray(interior.cell, 1, 1).seen(np.eye(len(interior.cell.stiffness) + n), range(n))[0][0, :, 0]
     electrodes = np.hstack([interior.cell.transfer[:, n:].T, interior.cell.compliance[n:, :n]])

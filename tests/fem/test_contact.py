@@ -24,6 +24,7 @@ from fem.contact import (
 )
 from fem.contact.compliance import PatchCompliance
 from fem.contact.indentation import OPEN, STICK, State
+from fem.contact.surface import MESH_LEVEL, NEAR_DEGREE
 from fem.contact.tiles import Patch, cell_rectangles, on_pillars, shares_by_rubber, tiles_per_pitch
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import pad_squares
@@ -122,12 +123,22 @@ NGSOLVE = {
 }
 
 
-@pytest.mark.parametrize("contrast", [121.0, pytest.param(6.0, marks=pytest.mark.long)])
-def test_two_rubbers_are_ngsolve_s_and_continuous_across_units(contrast: float):
-    """Net force to 2 %, electrodes to 3 %, both within the estimates, which are small enough not to be refused.
+@pytest.mark.parametrize(
+    ("contrast", "level", "degree"),
+    [
+        (121.0, 0, 5),
+        pytest.param(121.0, MESH_LEVEL, NEAR_DEGREE, marks=pytest.mark.long),
+        pytest.param(6.0, MESH_LEVEL, NEAR_DEGREE, marks=pytest.mark.long),
+    ],
+)
+def test_two_rubbers_are_ngsolve_s_and_continuous_across_units(contrast, level, degree, monkeypatch):
+    """Net force to 2 %, electrodes to 3 %, both within the estimates, which are small enough not to be refused; on the
+    coarsest mesh as well.
 
     A force beside the border of two units moves both sides of it alike, and forces and displacements are reciprocal.
     """
+    monkeypatch.setattr("fem.contact.surface.MESH_LEVEL", level)
+    monkeypatch.setattr("fem.contact.surface.NEAR_DEGREE", degree)
     soft = Material(young_mpa=6.1 / contrast, poisson=0.49)
     surface, _, _ = surface_compliance(SensorDesign(array=Array(rows=2, cols=2), matrix_material=soft))
     for at_mm, force_n, electrode, moved_mm in NGSOLVE[contrast]:

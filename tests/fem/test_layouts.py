@@ -15,7 +15,7 @@ from fem.array.response import read_response, write_response
 from fem.array.sensitivities import response_sensitivities
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.conduction.meshes import unit_hexahedra
-from fem.conduction.potentials import AT_REST, Conductor, UnitConductors, pillars_per_mm, unit_conductances
+from fem.conduction.potentials import Conductor, pillars_per_mm, unit_conductances
 from fem.contact.compliance import PatchCompliance
 from fem.contact.surface import endless_surface
 from fem.contact.tiles import Patch
@@ -43,7 +43,8 @@ from geometry.layout import Electrode as ElectrodeOf
 from geometry.layout import Pillar as PillarOf
 from geometry.prism import unit_prisms
 from hardware.readout.shunts import shunts
-from tests.fem.scenes import BESIDE, DIAGONAL, FOUR, mean, round_of
+from tests.fem.coarse_plates import conduct_by
+from tests.fem.scenes import BESIDE, DIAGONAL, FOUR, coarse_cells, mean, round_of
 
 UNIT = Unit(layout=FOUR)
 PAPERS = SensorDesign(array=Array(rows=1, cols=2))
@@ -53,18 +54,10 @@ SETTINGS = ResponseSettings(tolerance=5e-2)
 READY = [name for name in LAYOUTS if name != "single"]
 
 
-def conduct_coarsely(unit, monkeypatch):
-    """Let one coarse mesh of a unit serve as all of its meshes."""
-    conductor = Conductor(unit_hexahedra(unit, 2, 1))
-    for name in ("fem.array.conducted.unit_conductors", "fem.conduction.potentials.unit_conductors"):
-        monkeypatch.setattr(name, lambda unit, strained=False: UnitConductors(conductor, conductor, AT_REST))
-
-
 def test_conduction_has_every_pillar_and_a_file_keeps_a_layout_of_one_s_own(tmp_path, monkeypatch, shared_cache):
     """On coarse meshes; references read as eq. 1 has them, whatever the loads."""
-    monkeypatch.setattr("fem.array.design_cell.GRID_LEVEL", 1)  # of conduction alone
-    monkeypatch.setattr("fem.array.design_cell.GRID_DEGREE", 4)
-    conduct_coarsely(UNIT, monkeypatch)
+    coarse_cells(monkeypatch)  # of conduction alone
+    conduct_by(monkeypatch, Conductor(unit_hexahedra(UNIT, 2, 1)))
     found = solve_response(replace(PAPERS, unit=UNIT, array=Array(rows=1, cols=1), electrics=CONDUCTION), SETTINGS)
     assert found.influence_mm_per_n.shape == (1, 1, 3, 3, 1, 1, 3)
     conducted = found.conducted
@@ -116,7 +109,7 @@ def test_a_response_is_superposed_to_what_one_solve_of_all_loads_finds(name, at_
 
 def test_a_reference_asks_for_no_response_of_its_own(monkeypatch, shared_cache):
     """The paper's is found in the cache; at rest it is R = ρ l/S by conduction, too, and no shunt of the rubber."""
-    conduct_coarsely(Unit(), monkeypatch)
+    conduct_by(monkeypatch, Conductor(unit_hexahedra(Unit(), 2, 1)))
     array_response(PAPERS, SETTINGS)
     design = replace(PAPERS, unit=Unit(layout=BESIDE), electrics=CONDUCTION)
     found, _, reused = array_response(replace(design, electrics=Electrics()), SETTINGS)

@@ -13,6 +13,7 @@ from fem.pictures.parts import solve_scene_parts
 from fem.pictures.pressed import FIRST_STEP, Watch
 from fem.scene.scene import Scene
 from geometry.design import Array, Material, SensorDesign, with_model
+from tests.fem.scenes import coarse_cells
 
 DESIGN = with_model(SensorDesign(array=Array(rows=1, cols=1)), "neo-hookean")
 
@@ -20,8 +21,7 @@ DESIGN = with_model(SensorDesign(array=Array(rows=1, cols=1)), "neo-hookean")
 @pytest.fixture
 def scene(monkeypatch) -> Scene:
     """A unit pressed to a fifth of its height, on a coarse cell."""
-    for name, value in {"GRID_LEVEL": 1, "GRID_DEGREE": 4}.items():
-        monkeypatch.setattr(f"fem.array.design_cell.{name}", value)
+    coarse_cells(monkeypatch)
     return pressed_sensor(DESIGN, "uniform", 2.0)
 
 

@@ -13,7 +13,7 @@ from fem.pictures.arrays import solve_array_field
 from fem.pictures.parts import picture_field, quadratic, sensor_parts, solve_scene_parts
 from fem.scene.scene import Block, Inclusion, Probe, Scene, Sensor
 from geometry.design import Array, Material, SensorDesign
-from tests.fem.scenes import on_tetrahedra
+from tests.fem.scenes import coarse_cells, on_tetrahedra
 
 BLOCK = Scene(
     body=Block(size_mm=(12.0, 12.0, 6.0)),
@@ -56,8 +56,7 @@ def test_sections_of_a_picture_of_stress_carry_the_whole_load(center_mm):
 
 def test_a_sensor_s_scene_is_its_array_under_the_same_load(monkeypatch):
     """The middle pad as a load of the scene: the same field as by the pads of the design, on a coarse cell."""
-    for name, value in {"GRID_LEVEL": 1, "GRID_DEGREE": 4}.items():
-        monkeypatch.setattr(f"fem.array.design_cell.{name}", value)
+    coarse_cells(monkeypatch)
     middle = Probe(name="middle", kind="mean", center_mm=(0.0, 0.0), size_mm=(2.0, 2.0))
     design = SensorDesign(array=Array(rows=1, cols=2))
     pressed = DeadLoad(center_mm=(7.5, 0.0), size_mm=(12.0, 12.0), traction_mpa=(0.1, 0.0, -1.0))

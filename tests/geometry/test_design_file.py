@@ -145,26 +145,6 @@ def test_layouts_come_back_whole_in_whatever_way_they_are_written(layout):
         assert design_from_toml(f"[unit]\nspan_mm = 9.0{named}") == design
 
 
-ONE = 'electrode = [{name = "U", level = "upper", place = [0, 0]}, {name = "L", level = "lower", place = [0, 0]}'
-PILLAR = 'pillar = [{name = "z", from = "L", to = "U"'
-REFUSED_LAYOUTS = {
-    'layout = "seven"': "layout = 'seven': give one of song2018, six-pillar, eight-pillar, upright-four, single",
-    f"{ONE}]\n{PILLAR}}}, {{name = 3, from = 'L', to = 'U'}}]": "3 is no name: give up to 8",
-    f"{ONE}]\n{PILLAR}}}, {{name = 'z', from = 'L', to = 'U'}}]": "two pillars are named z",
-    f"{ONE}]\n{PILLAR}, section = 'oval'}}]": "[[pillar]] 1: section='oval' must be one of square, round",
-    f"{ONE}]\n{PILLAR}, width_mm = 0}}]": "[[pillar]] 1: width_mm=0 must be above 0",
-    f"{ONE}, {{name = 'V', level = 'upper', place = [1, 0]}}]\n{PILLAR}}}]": "no pillar joins V: each needs one",
-    'layout = "six-pillar"\n[unit]\nspan_mm = 2.0': "in [unit]: span_mm=2 lets pillars z and x of a unit merge",
-}
-
-
-@pytest.mark.parametrize("text", REFUSED_LAYOUTS, ids=range(len(REFUSED_LAYOUTS)))
-def test_layouts_that_make_no_unit_are_refused_in_one_line(text):
-    with pytest.raises(DesignError, match=rf"^my\.toml: .*{re.escape(REFUSED_LAYOUTS[text])}") as caught:
-        design_from_toml(text, "my.toml")
-    assert "\n" not in str(caught.value)
-
-
 def test_a_design_file_may_state_tolerances_of_its_own(tmp_path):
     """The table [tolerance] is checked with the design and is no part of it."""
     path, design = tmp_path / "sensor.toml", SensorDesign()

@@ -176,29 +176,6 @@ def test_pillars_that_lean_both_ways_are_as_wide_across_as_others(is_round):
 
 UPPER, LOWER = (Electrode("U1", (-1.0, 0.0)), Electrode("U2", (1.0, 0.0))), (Electrode("L1", (-1.0, 0.0)),)
 Z, X = Pillar("z", "L1", "U1"), Pillar("x", "L1", "U2")
-WRONG = {
-    "two electrodes are named U1": (UPPER, (Electrode("U1", (0.0, 0.0)),), (Z, X)),
-    r"two lower electrodes lie at \(-1.0, 0.0\)": (UPPER, (*LOWER, Electrode("L2", (-1.0, 0.0))), (Z, X)),
-    "two pillars are named z": (UPPER, LOWER, (Z, Pillar("z", "L1", "U2"))),
-    r"two pillars join \('L1', 'U2'\)": (UPPER, LOWER, (Z, X, Pillar("y", "L1", "U2"))),
-    "pillar x joins U1 and U2: it must stand on one of L1": (UPPER, LOWER, (Z, Pillar("x", "U1", "U2"))),
-    "no pillar joins U2: each needs one": (UPPER, LOWER, (Z,)),
-    "no pillar joins electrodes": ((), (), ()),
-    "no pillar joins U2: each needs one that is no reference": (UPPER, LOWER, (Z, replace(X, reference=True))),
-    "pillar z joins L1 and U1: .* end at one of the upper electrodes, of which there are none": ((), LOWER, (Z,)),
-    r"\['L1'\] is no name: give up to 8 letters": (UPPER, LOWER, (Z, Pillar("x", ["L1"], "U2"))),
-    "pillars z and x want one crossing of wires: give U1 and U2 wires of their own": (
-        tuple(replace(one, wire="a") for one in UPPER),
-        LOWER,
-        (Z, X),
-    ),
-}
-
-
-@pytest.mark.parametrize("says", WRONG)
-def test_layouts_that_make_no_unit_are_refused_by_name(says):
-    with pytest.raises(DesignError, match=says):
-        Layout(*WRONG[says])
 
 
 def test_ends_of_pillars_and_electrodes_may_not_meet_in_any_layout():

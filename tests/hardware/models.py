@@ -58,6 +58,30 @@ class Unknown(Decoder):
         return Scaling(np.zeros(n), np.ones(n))
 
 
+REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))  #: of the sensor of `Shares`
+
+
+class Shares(Unknown):
+    """A model of 2 × 3 units whose force is the share by which each pillar's resistance is off rest."""
+
+    rows, cols = 2, 3
+
+    def __init__(self, **known):
+        vars(self).update({"rest_ohm": REST_OHM, "by_noise": 0.0} | known)
+
+    def read_by(self, errors):
+        return Shares(errors=errors, by_noise=errors.noise)
+
+    def deviations(self, resistance_ohm, weights, own=None):
+        return self.by_noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6))
+
+    def rest_resistances(self):
+        return self.rest_ohm
+
+    def forces(self, resistance_ohm):
+        return resistance_ohm / REST_OHM - 1
+
+
 class PillarModel(Unknown):
     """Takes resistances (n, rows, cols, 3) to forces by a function."""
 

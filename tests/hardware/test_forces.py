@@ -14,31 +14,7 @@ from hardware.readout.crossbar import SUITED_SENSE_OHM
 from hardware.readout.forces import ForceReader, LiveSensor, replay
 from hardware.recording import parse_recording
 from tests.hardware.boards import recording_from_resistances
-from tests.hardware.models import INFO, Unknown
-
-REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
-
-
-class Shares(Unknown):
-    """A model whose force is the share by which each pillar's resistance is off rest."""
-
-    rows, cols = 2, 3
-
-    def __init__(self, **known):
-        vars(self).update({"rest_ohm": REST_OHM, "by_noise": 0.0} | known)
-
-    def read_by(self, errors):
-        return Shares(errors=errors, by_noise=errors.noise)
-
-    def deviations(self, resistance_ohm, weights, own=None):
-        return self.by_noise * resistance_ohm, np.zeros((len(resistance_ohm), 6, 6))
-
-    def rest_resistances(self):
-        return self.rest_ohm
-
-    def forces(self, resistance_ohm):
-        return resistance_ohm / REST_OHM - 1
-
+from tests.hardware.models import INFO, REST_OHM, Shares
 
 FRESH = SensorCalibration.as_designed(2, 3)
 GAINED = replace(FRESH, gain=np.full((2, 3, 3), 1.1))

@@ -15,26 +15,13 @@ from hardware.readout.forces import ForceReader, LiveSensor, replay
 from hardware.readout.memory import MemoryReader
 from hardware.recording import parse_recording
 from tests.hardware.boards import recording_from_resistances
-from tests.hardware.models import INFO, Unknown
+from tests.hardware.models import INFO, REST_OHM, Shares
 from tripillar.terminal.force_view import memory_line
 
-REST_OHM = np.tile([1e4, 1.4e4, 1.4e4], (2, 3, 1))
 MEMORY = Memory(direction="loading", a=(0.5, 0.2), b_lengthen=2.5, b_shorten=9.0, tau_s=(2.0, 150.0), g1=2.0)
 
 
 FOLLOWED = SensorFilter(memory=MEMORY, is_tested=True)  #: of a sensor whose design states this rubber
-
-
-class Shares(Unknown):
-    """A model whose force is the share by which each pillar's resistance is off rest."""
-
-    rows, cols, rest_ohm = 2, 3, REST_OHM
-
-    def rest_resistances(self):
-        return self.rest_ohm
-
-    def forces(self, resistance_ohm):
-        return resistance_ohm / REST_OHM - 1
 
 
 @pytest.fixture(scope="module")
@@ -118,11 +105,8 @@ def healed(strain, seconds):
 
 
 def test_a_model_without_a_design_knows_no_rest_and_no_memory():
-    class Unrested(Shares):
-        rest_ohm = None
-
     with pytest.raises(FileFormatError, match="leave the rubber out"):
-        ForceReader(INFO, Unrested(), causal=FOLLOWED)
+        ForceReader(INFO, Shares(rest_ohm=None), causal=FOLLOWED)
 
 
 def test_contacts_remember_nothing_and_open_pillars_stay_open():

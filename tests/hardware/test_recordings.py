@@ -1,8 +1,6 @@
 """A recording gives back all that was recorded; what is damaged is left out and named; what is none is refused."""
 
-import resource
 import signal
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -22,6 +20,7 @@ from hardware.recording import Recorder, RecordingError, parse_recording, read_r
 from hardware.recording.recorded import Header
 from tests.hardware.boards import recording_from_resistances
 from tests.hardware.test_decoder import U8, U32, infos
+from tests.house import room_for
 
 INFO = Info(
     rows=2, cols=3, bits=16, scan_mode=ScanMode.GROUNDED, firmware=(1, 2, 255), rate_hz=200, serial=2**32 - 1,
@@ -272,17 +271,6 @@ def test_ctrl_c_waits_for_the_frame_to_be_written(path, monkeypatch):
             recorder.append(frames(1)[0], 1.8e9)
         monkeypatch.undo()
     assert_same(read_recording(path), frames(1), [1.8e9])
-
-
-@contextmanager
-def room_for(size):
-    """A limit on the size of files stands for a full disk."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 @pytest.mark.parametrize("room", [0, 49])

@@ -26,8 +26,7 @@ from hardware.streams.scene import LONGEST
 from hardware.streams.stream import ROOM_BYTES, StreamError
 from hardware.streams.topics import CONTACTS, CONTENTS, FORCES, RESISTANCES, SCENE, SENSOR, WRENCH
 from tests.hardware.models import INFO
-from tests.hardware.test_recordings import room_for
-from tests.house import PATIENT_S
+from tests.house import PATIENT_S, room_for
 
 if not find_spec("rerun"):  # which takes 0.3 s to load
     pytest.skip("no rerun", allow_module_level=True)

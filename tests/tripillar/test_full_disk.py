@@ -11,12 +11,10 @@ import pytest
 
 from tests.dataset.conftest import made_up_response
 from tests.decoupler.synthetic_sensor import sensor
-from tests.fem.scenes import PILLAR
-from tests.house import SMALL, run_here
+from tests.fem.scenes import PILLAR, coarse_cells
+from tests.house import SMALL, room_for, run_here
 from tests.tripillar.made_files import a_dataset, a_model
 from tripillar.viewer import saving
-
-resource = pytest.importorskip("resource")
 
 DATA = "dataset --design small.toml --protocol contact --samples"
 #: by the end of what each writer writes
@@ -52,20 +50,13 @@ def house(tmp_path, shared_cache, monkeypatch):
     monkeypatch.setattr("tripillar.pipeline.stage.array_response", lambda *_: (known, tmp_path / "none", False))
     monkeypatch.setattr(saving, "FRAMES", 2)
     monkeypatch.setattr(saving, "HELD", 1)
-    monkeypatch.setattr("fem.array.design_cell.GRID_LEVEL", 1)
-    monkeypatch.setattr("fem.array.design_cell.GRID_DEGREE", 4)
+    coarse_cells(monkeypatch)
     return tmp_path
 
 
-@contextmanager
 def limited(folder):
     """A limit on the size of files."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    return room_for(ROOM)
 
 
 @contextmanager

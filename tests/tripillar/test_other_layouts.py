@@ -82,60 +82,6 @@ def test_forces_that_pillars_do_not_tell_are_not_trained():
         tp.train(samples, component="all")
 
 
-def table(pillars: str, electrodes: str = "U1 -1 -1, U2 -1 1, L1 -1 -1, L2 1 -1") -> str:
-    """Electrodes by name and place and pillars by name, foot and top, with more keys after them, as a file has them."""
-    levels = {"U": "upper", "L": "lower"}
-    words = [each.split(None, 3) for each in electrodes.split(", ")]
-    text = [f'{{name="{n}", level="{levels[n[0]]}", place=[{x}, {y}]{"".join(more)}}}' for n, x, y, *more in words]
-    words = [each.split(None, 3) for each in pillars.split(", ")]
-    joined = [f'{{name="{n}", from="{foot}", to="{top}"{"".join(more)}}}' for n, foot, top, *more in words]
-    return f"electrode = [{', '.join(text)}]\npillar = [{', '.join(joined)}]\n"
-
-
-PAPERS = "z L1 U1, x L2 U1, y L1 U2"
-LINE = "U1 -1 0, U2 1 0, U3 0 1, L1 -1 0, L2 0 -1"
-HUNDRED, MANY = (
-    table(
-        ", ".join(f"p{k} L{k} U{k}" for k in range(10 * n)),
-        ", ".join(f"{level}{k} {k // n / 5 - 0.9} {k % n / 5 - 0.9}" for level in "UL" for k in range(10 * n)),
-    )
-    for n in (10, 3)
-)
-BAD = [
-    (table("z L1 U1, x L2 U9, y L1 U2"), "pillar x joins L2 and U9: it must stand on one of L1, L2"),
-    (table("z L1 U1, x L2 U1"), "no pillar joins U2: each needs one that is no reference"),
-    (table(PAPERS + ", r L2 U2 ,reference=true") + "[unit]\nlayout = 'song2018'\n", "unknown key 'layout' in [unit]"),
-    (table("z L1 U1, x L2 U1, y L1 U2 ,reference=true"), "no pillar joins U2: each needs one that is no reference"),
-    (table(PAPERS + ", r L1 U1 ,reference=true"), "two pillars join ('L1', 'U1')"),
-    (table(PAPERS + ", z L2 U2"), "two pillars are named z: give each its own"),
-    (table(PAPERS, "U1 -1 -1, U2 -1 1, L1 -1 -1, L2 -1 -1"), "two lower electrodes lie at (-1.0, -1.0)"),
-    (table("x L1 U2, y L2 U3, z L1 U1", LINE), "pillars x and y cross between their electrodes at span_mm=10"),
-    (
-        table("z L1 U1, y L1 U2", "U1 -1 -1 ,wire='a', U2 -1 1 ,wire='a', L1 -1 -1"),
-        "want one crossing of wires: give U1 and U2",
-    ),
-    *((table(f"z L1 U1 ,width_mm={w}, x L2 U1, y L1 U2"), f"width_mm={w} must be") for w in ("0", "-1", "nan", "'2'")),
-    (table("z L1 U1 ,width_mm=20, x L2 U1, y L1 U2"), "lets pillars z and x of a unit merge: it must be above 11.41"),
-    (table("z L1 U1", "U1 3 0, L1 3 0"), "pitch_mm=15 is smaller than the unit, whose pillars take 32 mm"),
-    (table("z L1 U1", "U1 nan 0, L1 0 0"), "place=[nan, 0] must be 2 finite numbers"),
-    (table("z. L1 U1", "U1 0 0, L1 0 0"), "'z.' is no name: give up to 8 letters and digits"),
-    ("electrode = []\npillar = []\n", "no pillar joins electrodes"),
-    ('pillar = [{name="z", from=["L"], to="U"}]\n', "['L'] is no name"),
-    ('pillar = [{name="z", from="L", to="U"}]\n', "end at one of the upper electrodes, of which there are none"),
-    (table(PAPERS + " ,length_mm=3"), "unknown key 'length_mm' in [[pillar]] 3; known are name, from, to"),
-    ("layout = 'song2018'\n" + table(PAPERS), "layout = 'song2018' and [[electrode]]: give one of"),
-    (HUNDRED, "a unit has more than 64 electrodes: give fewer"),
-    (MANY, "span_mm=10 lets pillars p1 and p2 of a unit merge: it must be above 20"),
-]
-
-
-@pytest.mark.parametrize(("text", "said"), BAD, ids=[said for _, said in BAD])
-def test_a_bad_layout_is_one_line_and_nothing_is_written(tmp_path, text, said):
-    house = House(tmp_path)
-    (tmp_path / "bad.toml").write_text('extends = "paper"\n' + text)
-    assert said in house.refusal("response", "--design", "bad.toml", "--out", "r.nc")
-
-
 def test_a_mat_that_no_design_describes_is_trained_tared_and_read_from_tables_and_logs(tmp_path):
     """Conductance follows force, over more than the factor of 4 that a strained pillar has; another day is 20 % off."""
     house, generator = House(tmp_path), np.random.default_rng(0)

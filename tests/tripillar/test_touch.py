@@ -20,9 +20,9 @@ from tests.decoupler.synthetic_sensor import layer_sensitivities
 from tests.hardware.boards import recording_from_resistances
 from tests.house import SMALL, House
 
-PRESSES = 24
+PRESSES = 16
 READ = ("--noise", "0.001", "--bits", "12", "-q", "-o")
-INDENT = ("dataset", "--protocol", "indent", "--samples", "12", "--seed", "5")
+INDENT = ("dataset", "--protocol", "indent", "--samples", "8", "--seed", "5")
 TRAIN = ("train", "--touch", "-q", "--design")
 TRACTIONS = DatasetSettings(protocol="three-axis", samples=60, seed=1, noise=0.001, bits=12)
 EVALUATE = ("evaluate", "-q", "--model")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from skfem import MeshTet
 
-from common.errors import SceneError
 from fem.finite.solving import finite_body, finite_grid
 from fem.kernel.elements import hexahedra, taylor_hood
 from fem.kernel.factor import Factor, FactorMemoryError
@@ -127,15 +126,6 @@ def test_two_rubbers_that_lean_are_solved_on_tetrahedra(monkeypatch):
     assert plan.method == "finite on tetrahedra"
     assert found.error_estimate < 0.2
     assert abs(found.energy_imbalance) < 1e-2
-
-
-@pytest.mark.parametrize(
-    ("centres", "width_mm", "says"), [((4.5, 10.5), 6.0, "part them"), ((7.5,), 13.0, "no line at x = 1 mm")]
-)
-def test_plates_that_touch_or_lie_off_the_grid_s_lines_are_refused(centres, width_mm, says):
-    plates = [StiffLoad(center_mm=(x, 7.5), size_mm=(width_mm, 12.0), force_n=(0.0, 0.0, -1.0)) for x in centres]
-    with pytest.raises(SceneError, match=says):
-        System(BODY, plates)
 
 
 def test_too_little_memory_is_not_told_as_a_load_out_of_reach(monkeypatch):

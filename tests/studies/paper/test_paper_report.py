@@ -40,12 +40,13 @@ from studies.paper.printed import TABLE_2_AVERAGE
 from studies.paper.report import Computed, as_markdown
 from studies.paper.results import Results
 from studies.paper.spacing import Asked, Spacing, study_spacing
+from tests.fem.scenes import coarse_cells
 from tests.studies.one_process import one_after_another
 from tripillar.terminal.progress import Bars
 
 FEW = Asked(pitches_mm=(14.0, 20.0), wider_mm=(30.0,))
 SMALL = Experiments(
-    widths=(1, 2, 3), training_samples=100, test_samples=20, folds=2, table_nodes={"fz": 2, "fx": 3}, shown_nodes=3,
+    widths=(1, 2), training_samples=100, test_samples=20, folds=2, table_nodes={"fz": 2, "fx": 3}, shown_nodes=3,
     shown_samples=5,
 )  # fmt: skip
 
@@ -172,10 +173,9 @@ def test_verdicts_turn_with_the_numbers(computed):
 
 def test_the_command_writes_the_whole_report_and_again_nothing(response, computed, tmp_path, capsys, monkeypatch):
     # how finely figure 7 is solved and drawn, and how small files are, is not on trial
-    coarse = {"array.design_cell.GRID_LEVEL": 1, "array.design_cell.GRID_DEGREE": 4}
-    small = {"pictures.deformation.HIGH_PX": 440, "pictures.deformation.WIDE_PX": {1: (496, 688)}}
-    for name, value in (coarse | small).items():
-        monkeypatch.setattr(f"fem.{name}", value)
+    coarse_cells(monkeypatch)
+    monkeypatch.setattr("fem.pictures.deformation.HIGH_PX", 440)
+    monkeypatch.setattr("fem.pictures.deformation.WIDE_PX", {1: (496, 688)})
     monkeypatch.setattr("studies.charts.save_small", lambda image, path: image.convert("RGB").save(path))
     monkeypatch.setattr(command, "respond", lambda design, bars: (None, response))
     monkeypatch.setattr(command, "Experiments", lambda: SMALL)
