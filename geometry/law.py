@@ -7,20 +7,22 @@ stress, with H = F − I the gradient of the displacement:
     P = ∂W/∂F + p ∂θ/∂F
 
 All laws are Hooke's of the same λ and μ at small strain. Another one is a class with W and its two derivatives, and its
-line in `LAWS`.
+line in `LAWS`, by whose names designs and scenes know them.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import Material
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from geometry.design import Material
 
 MIN_LAME = 1e-9  #: least λ over μ, which mixed elements divide by where ν = 0
 EPSILON = [(i, j, k, sign) for sign in (1, -1) for i, j, k in [(s, (s + sign) % 3, (s - sign) % 3) for s in range(3)]]
@@ -63,7 +65,7 @@ class Law(ABC):
         return [spec.name for spec in fields(cls) if spec.name not in Law.__annotations__]
 
     @classmethod
-    def of(cls, materials: Sequence[Material], shares: FloatArray) -> Self:
+    def of(cls, materials: "Sequence[Material]", shares: FloatArray) -> Self:
         """The law of mixtures of rubbers, shares (n_materials, ...) of each at every point, as of their moduli."""
         lame = np.array([material.lame_mpa for material in materials])
         first, mu = np.tensordot(lame.T, shares, 1)
@@ -228,6 +230,7 @@ LAWS: dict[str, type[Law]] = {
     "mooney-rivlin": MooneyRivlin,
     "yeoh": Yeoh,
 }
+RATIOS = tuple(dict.fromkeys(name for law in LAWS.values() for name in law.ratios()))  #: of all laws
 
 
 def plus_unit(A: FloatArray, scale: FloatArray | float) -> FloatArray:
