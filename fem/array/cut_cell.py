@@ -81,7 +81,7 @@ def why_tetrahedra(design: SensorDesign, tolerance: float) -> str | None:
         return f"boxes are for tolerances from {MIN_TOLERANCE:g}"
     if design.pad.kind == "stiff":
         return "boxes are for soft pads"
-    if any(prism.is_round or prism.is_turned for prism in unit_prisms(design.unit)):
+    if not all(prism.is_rectangular for prism in unit_prisms(design.unit)):
         return "boxes are for square pillars that lean along x or y"
     lines = cut_lines(design, STAGES[contrast < 1][0][1])
     for prism, axis in product(unit_prisms(design.unit), (0, 1)):
