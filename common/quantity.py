@@ -2,7 +2,7 @@
 
 import reprlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field, fields
 from functools import partial
 from typing import Any, get_args
@@ -21,7 +21,7 @@ def quantity(
     above_0: bool = False,
     within: tuple[float, float] | None = None,
     below: bool = False,
-    of: Sequence[str] = (),
+    of: Collection[str] = (),
     count: int = 1,
 ) -> Any:
     """A dataclass field with its meaning, which also becomes the comment in the design file.

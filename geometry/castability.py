@@ -105,7 +105,7 @@ def _reach(upright_mm: float, width_mm: float, straight: Prism) -> float:
 
     Behind a square that the other leans across, its corner lies furthest.
     """
-    if not straight.is_turned or straight.is_round:
+    if straight.is_round or not straight.axis_mm[:2].all():
         return upright_mm / 2
     back, across = -straight.turn[0], straight.turn[1] * width_mm / 2
     return float(min(((upright_mm / 2 - np.sign(back) * at) / np.abs(back)).min() for at in (across, -across)))

@@ -6,10 +6,11 @@ Lengths in mm, moduli in MPa, resistivity in Ω mm. A sweep is ``replace(design,
 import math
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from html import escape
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from common.errors import DesignError
 from common.quantity import OPTIONAL, Sound, positive, quantity
+from geometry.law import LAWS, RATIOS
 from geometry.layout import SONG2018, Layout, crossing_pillars, footprint, min_span, pillar_widths
 
 MAX_SLENDER = 60.0  #: length of a pillar over its width: a mesh of another rubber takes 8 s at 10, 90 s at 50
@@ -132,7 +133,6 @@ class Prony(Sound):
 
 
 SECOND_RATIO = 0.2  #: of mooney-rivlin, where none is given
-MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,9 +144,7 @@ class Material(Sound):
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity(
-        "linear", "linear: small strain; neo-hookean, mooney-rivlin, yeoh: finite strain", True, of=MODELS
-    )
+    model: str = quantity("linear", f"linear: small strain; {', '.join([*LAWS][1:])}: finite strain", True, of=LAWS)
     stiffening: float = quantity(0.0, "c₂/c₁ of yeoh, which stiffens as it is stretched", True, within=(0.0, 10.0))
     second_ratio: float = quantity(SECOND_RATIO, "c₂/(c₁ + c₂) of mooney-rivlin", True, within=(0.0, 1.0))
     young_mpa: float = positive(6.1, "Young's modulus E")
@@ -156,12 +154,10 @@ class Material(Sound):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.stiffening and self.model != "yeoh":
-            raise DesignError(f"stiffening={self.stiffening:g} is of model = 'yeoh', not {self.model}: leave it at 0.")
-        if self.second_ratio != SECOND_RATIO and self.model != "mooney-rivlin":
-            raise DesignError(
-                f"second_ratio={self.second_ratio:g} is of model = 'mooney-rivlin', not {self.model}: leave it out."
-            )
+        for name, default in foreign_ratios(self.model).items():
+            if (given := getattr(self, name)) != default:
+                owner = next(model for model, law in LAWS.items() if name in law.ratios())
+                raise DesignError(f"{name}={given:g} is of model = '{owner}', not {self.model}: leave it out.")
         if not 0 <= self.poisson < 0.5:
             raise DesignError(
                 f"poisson={self.poisson:g} must be from 0 to below 0.5: rubber is nearly incompressible, "
@@ -184,6 +180,12 @@ class Material(Sound):
         """Lamé's λ and μ [MPa]: λ = Eν/((1+ν)(1−2ν)), μ = E/(2(1+ν))."""
         E, nu = self.young_mpa, self.poisson
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+
+
+def foreign_ratios(model: str) -> dict[str, Any]:
+    """Ratios that other laws have of their own: a material of this model leaves them at these defaults."""
+    foreign = {*RATIOS} - {*LAWS[model].ratios()}
+    return {spec.name: spec.default for spec in fields(Material) if spec.name in foreign}
 
 
 DRIFTS = (0.0, 0.5)  #: bounds of a drift's standard deviation: two of the largest leave a pillar no resistance
@@ -360,14 +362,6 @@ def with_model(design: SensorDesign, model: str) -> SensorDesign:
     >>> with_model(SensorDesign(), "neo-hookean").matrix_material.model
     'neo-hookean'
     """
-    rubbers = (design.pillar_material, design.matrix_material)
-    pillar, matrix = (
-        replace(
-            rubber,
-            model=model,
-            stiffening=rubber.stiffening if model == "yeoh" else 0.0,
-            second_ratio=rubber.second_ratio if model == "mooney-rivlin" else SECOND_RATIO,
-        )
-        for rubber in rubbers
-    )
+    changes: dict[str, Any] = {"model": model, **foreign_ratios(model)}
+    pillar, matrix = (replace(rubber, **changes) for rubber in (design.pillar_material, design.matrix_material))
     return replace(design, pillar_material=pillar, matrix_material=matrix)

@@ -5,7 +5,6 @@ Units run k = i·cols + j over rows i (along y) and columns j (along x); electro
 """
 
 import math
-import operator
 import re
 import reprlib
 from collections.abc import Sequence
@@ -29,7 +28,14 @@ AXES = ("x", "y", "z")  #: displacement, traction and force components
 TURNS = (0.2, 0.3)  #: of a pad by a shear force, by its shift over the height; two, as one may just cancel a shift
 
 
-SECTIONS = ("square", "round")  #: of a pillar, perpendicular to its axis
+Pair = tuple[float, float]
+
+#: of a pillar, perpendicular to its axis: corners anticlockwise, each opposite another, along its lean and across it in
+#: half widths; a circle has none
+SECTIONS: dict[str, tuple[Pair, ...]] = {
+    "square": ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)),
+    "round": (),
+}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")  #: of an electrode, a wire or a pillar: it becomes part of names
 PLACES = (-1e3, 1e3)  #: of an electrode, in half spans
 MAX_PARTS = 64  #: electrodes and pillars of a unit: more are an array's
@@ -266,13 +272,36 @@ def pillar_widths(unit: "Unit") -> list[float]:
 
 def pillar_areas(unit: "Unit") -> FloatArray:
     """Area S of each pillar's section, perpendicular to its axis, shape (n_pillars,) [mm²]: w², or π w²/4."""
-    widths = zip(unit.layout.pillars, pillar_widths(unit), strict=True)
-    return np.array([math.pi / 4 * w**2 if one.is_round else w**2 for one, w in widths])
+    return np.array([polygon_area(one.section) / 4 for one in unit.layout.pillars]) * np.square(pillar_widths(unit))
 
 
 def pillar_volumes(unit: "Unit") -> FloatArray:
     """Volume of the pillars, V = S·l exactly, shape (n_pillars,) [mm³]."""
     return pillar_areas(unit) * rest_lengths(unit)
+
+
+def polygon_area(section: str) -> float:
+    """Area of a section in half widths squared, by the shoelace formula.
+
+    >>> polygon_area("square"), polygon_area("round")
+    (4.0, 3.14159...)
+    """
+    if not SECTIONS[section]:
+        return math.pi
+    x, y = np.array(SECTIONS[section]).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def half_extents(section: str) -> Pair:
+    """Half extents of a section along its pillar's lean and across it, in half widths."""
+    x, y = np.abs(SECTIONS[section] or [(1.0, 1.0)]).max(axis=0).tolist()
+    return x, y
+
+
+def extents_around(section: str, widths_mm: FloatArray) -> FloatArray:
+    """Extents (2,) along x and y of a section whose widths along the lean and across it are these vectors (2, 2)."""
+    corners = np.reshape(SECTIONS[section], (-1, 2))
+    return np.asarray(np.abs(corners @ widths_mm).max(axis=0) if len(corners) else np.linalg.norm(widths_mm, axis=0))
 
 
 def leans_both_ways(unit: "Unit") -> NDArray[np.bool_]:
@@ -283,8 +312,8 @@ def leans_both_ways(unit: "Unit") -> NDArray[np.bool_]:
 def pillar_sections(unit: "Unit") -> FloatArray:
     """Extent along x and y of the pillars' horizontal sections, shape (n_pillars, 2) [mm].
 
-    Perpendicular to its axis a pillar is w × w, or round of that width; along its tilt it is wider, w·l/h. Of one that
-    leans along x and along y the rectangle around its section, which is turned along its tilt.
+    Perpendicular to its axis a pillar has its section of width w; along its tilt it is wider, w·l/h. Of one that leans
+    along x and along y the rectangle around its section, which is turned along its tilt.
 
     >>> from geometry.design import Unit
     >>> pillar_sections(Unit()).round(3).tolist()
@@ -295,8 +324,7 @@ def pillar_sections(unit: "Unit") -> FloatArray:
     for pillar, w, (x, y) in zip(unit.layout.pillars, pillar_widths(unit), leans, strict=True):
         run = math.hypot(x, y)
         along, x, y = (w * math.hypot(run, h) / h, x / run, y / run) if run else (w, 1.0, 0.0)
-        around = math.hypot if pillar.is_round else operator.add
-        found.append((around(along * x, w * y), around(along * y, w * x)))
+        found.append(extents_around(pillar.section, np.array([[along * x, along * y], [-w * y, w * x]])))
     return np.array(found)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from common.errors import DesignError
 from common.storage.text_file import StrictTables
-from geometry.layout import LAYOUTS, MAX_PARTS, SECTIONS, Electrode, Layout, Pillar
+from geometry.layout import LAYOUTS, MAX_PARTS, Electrode, Layout, Pillar
 
 STRICT = StrictTables(DesignError)
 LEVELS = ("upper", "lower")  #: of electrodes
@@ -83,7 +83,7 @@ def _shortened(tables: dict[str, Any]) -> dict[str, Any]:
     places = [[int(x) if x == int(x) else x for x in one["place"]] for one in tables["electrode"]]
     return {
         "electrode": [one | {"place": place} for one, place in zip(tables["electrode"], places, strict=True)],
-        "pillar": [{k: v for k, v in one.items() if (k, v) != ("section", SECTIONS[0])} for one in tables["pillar"]],
+        "pillar": [{k: v for k, v in one.items() if (k, v) != ("section", Pillar.section)} for one in tables["pillar"]],
     }
 
 

@@ -271,17 +271,26 @@ def fill(task: MeshTask, envelope_mm: float) -> tuple[FloatArray, NDArray[np.int
 def snap_to_prism(points: FloatArray, faces: NDArray[np.int64], prism: Prism, slack_mm: float) -> FloatArray:
     """Points with every face along a plane side of a prism, all its points within the slack, moved onto that side."""
     upright = points.copy()
-    # the prism's sides are planes of a coordinate here
+    # the prism's sides are upright here
     upright[:, :2] = prism.own(upright[:, :2] - prism.axis_at(points[:, 2]))
-    snapped, moved = upright.copy(), np.zeros(len(points), dtype=bool)
-    (a, b), (low, high) = np.array(prism.section_mm) / 2, (prism.base_mm[2], prism.top_mm[2])
-    sides = ((0, -a), (0, a), (1, -b), (1, b), (2, low), (2, high))
-    for axis, plane in sides[4:] if prism.is_round else sides:
-        along = faces[(np.abs(upright[faces, axis] - plane) <= slack_mm).all(axis=1)]
-        snapped[along, axis] = plane
-        moved[along] = True
+    snapped, (normals, off_mm) = upright.copy(), prism.sides
+    beside, ended = np.zeros((len(off_mm), len(points)), dtype=bool), np.zeros(len(points), dtype=bool)
+
+    def along(depth_mm: FloatArray) -> NDArray[np.int64]:
+        """Points of the faces along a plane, of all points' distances from it."""
+        return np.unique(faces[(np.abs(depth_mm[faces]) <= slack_mm).all(axis=1)])
+
+    for own, normal, off in zip(beside, normals, off_mm, strict=True):
+        own[along(upright[:, :2] @ normal - off)] = True
+        level = np.array([-normal[1], normal[0]])
+        snapped[own, :2] = off * normal + np.outer(upright[own, :2] @ level, level)
+    for k, corner in enumerate(prism.polygon):
+        snapped[beside[k - 1] & beside[k], :2] = corner
+    for z_mm in (prism.base_mm[2], prism.top_mm[2]):
+        own = along(upright[:, 2] - z_mm)
+        snapped[own, 2], ended[own] = z_mm, True
     snapped[:, :2] = prism.placed(snapped[:, :2]) + prism.axis_at(snapped[:, 2])
-    return np.where(moved[:, None], snapped, points)
+    return np.where((ended | beside.any(axis=0))[:, None], snapped, points)
 
 
 def faces_between(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

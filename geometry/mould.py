@@ -90,18 +90,19 @@ def _wedges(unit: Unit, clearance_mm: float) -> list["Solid"]:
     h = unit.height_mm
     wedges: list[Solid] = []
     pillars = list(zip(unit.layout.pillars, unit_prisms(unit), pillar_widths(unit), strict=True))
-    upright_at = {pillar.foot: (pillar.is_round, width) for pillar, straight, width in pillars if straight.is_upright}
+    upright_at = {pillar.foot: (pillar.section, width) for pillar, straight, width in pillars if straight.is_upright}
     for pillar, straight, width in pillars:
         if straight.is_upright:
             continue
         s, foot = float(np.linalg.norm(straight.axis_mm[:2])), upright_at.get(pillar.foot)
         along = straight.axis_mm[:2] / s
         b = float(np.abs(straight.turn @ along) @ straight.section_mm) / 2  # along x, along y or turned: one extent
-        sideways, side = straight.turn[int(abs(straight.turn[0] @ along) > 0)], width / 2 - clearance_mm
+        sideways = straight.turn[int(abs(straight.turn[0] @ along) > 0)]
+        side = float(np.abs(straight.turn @ sideways) @ straight.section_mm) / 2 - clearance_mm
         # corners (distance from the foot's middle, z): a square pillar's upper face rises from (-b, 0) to (s - b, h)
         start = clearance_mm - b if foot is None else foot[1] / 2
         corners = [(start, h), (s - b, h), (start, h * (start + b) / s)]
-        is_flat = not (pillar.is_round or straight.is_turned) and foot in (None, (False, width))
+        is_flat = straight.is_rectangular and foot in (None, ("square", width))
         if not is_flat:  # from the middle of a round pillar, or of an upright one of another section, up
             start = clearance_mm - b if foot is None else 0.0
             low = (0.0, 0.0) if pillar.is_round else (start, h * (start + b) / s)

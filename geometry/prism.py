@@ -1,4 +1,4 @@
-"""Straight prisms between equal horizontal rectangles or ellipses: the shape of slab, pillars and inclusions."""
+"""Straight prisms between equal horizontal polygons or ellipses: the shape of slab, pillars and inclusions."""
 
 import math
 from collections.abc import Sequence
@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 from common.quantity import OPTIONAL
 from geometry.layout import (
+    SECTIONS,
     FloatArray,
+    Pair,
+    extents_around,
+    half_extents,
     leans_both_ways,
     pad_squares,
     pillar_ends,
     pillar_sections,
+    pillar_vectors,
     pillar_widths,
+    polygon_area,
     rest_lengths,
     unit_centres,
 )
@@ -26,24 +32,33 @@ if TYPE_CHECKING:
 SIDES = 24  #: of the polygon that is drawn for a circle: flat faces meet exactly, and lie within 1 % of its radius
 #: of the one that is meshed: six round pillars make 1.7 times the cells of square ones, by 24 sides nine
 MESHED_SIDES = 8
-Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prism:
-    """A straight prism between two equal horizontal rectangles, or ellipses: every body, every inclusion."""
+    """A straight prism between two equal horizontal sections, such as rectangles: every body, every inclusion."""
 
     base_mm: Triple  #: centre of the lower end
     top_mm: Triple  #: centre of the upper end
     section_mm: Pair  #: extent of the horizontal section along x and y
-    is_round: bool = field(default=False, metadata=OPTIONAL)  #: whether the section is an ellipse
+    section: str = field(default="square", metadata=OPTIONAL)  #: which of `SECTIONS` is stretched to these extents
     is_turned: bool = field(default=False, metadata=OPTIONAL)  #: whether its extents are along its lean and across it
 
     @property
     def is_upright(self) -> bool:
         """True if its sides are vertical, so that it is a box."""
         return self.base_mm[:2] == self.top_mm[:2]
+
+    @property
+    def is_round(self) -> bool:
+        """True if its section is an ellipse."""
+        return not SECTIONS[self.section]
+
+    @property
+    def is_rectangular(self) -> bool:
+        """True if its section is a rectangle along x and y."""
+        return self.section == "square" and not self.is_turned
 
     @property
     def height_mm(self) -> float:
@@ -62,7 +77,8 @@ class Prism:
 
     @property
     def volume_mm3(self) -> float:
-        return self.section_mm[0] * self.section_mm[1] * self.height_mm * (math.pi / 4 if self.is_round else 1.0)
+        a, b = half_extents(self.section)
+        return self.section_mm[0] * self.section_mm[1] * self.height_mm * polygon_area(self.section) / (4 * a * b)
 
     @property
     def turn(self) -> FloatArray:
@@ -83,8 +99,22 @@ class Prism:
     @property
     def extents_mm(self) -> FloatArray:
         """Of the rectangle along x and y around the section, (2,)."""
-        parts = np.abs(self.turn * np.array(self.section_mm)[:, None])
-        return np.asarray(np.linalg.norm(parts, axis=0) if self.is_round else parts.sum(axis=0))
+        widths_mm = np.divide(self.section_mm, half_extents(self.section))
+        return extents_around(self.section, self.turn * widths_mm[:, None])
+
+    @property
+    def polygon(self) -> FloatArray:
+        """Corners of the section along its extents, anticlockwise, (n, 2) [mm]; an ellipse has none."""
+        corners = np.reshape(SECTIONS[self.section], (-1, 2))
+        return np.asarray(corners / half_extents(self.section) * self.section_mm / 2)
+
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """Outward normals (n, 2) of the polygon's sides, from a corner to the next, and their distances (n,) [mm]."""
+        corners = self.polygon
+        edges = np.roll(corners, -1, axis=0) - corners
+        normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
+        return normals, (normals * corners).sum(axis=1)
 
     def axis_at(self, z_mm: FloatArray) -> FloatArray:
         """Centre of the section at heights (n,), shape (n, 2) [mm]."""
@@ -96,36 +126,37 @@ class Prism:
         return self.distance(points_mm) <= slack_mm
 
     def distance(self, points_mm: FloatArray) -> FloatArray:
-        """Distance of points (n, 3) from the prism along the axis by which they are furthest out, shape (n,) [mm].
+        """Distance of points (n, 3) from the prism across the face that they are furthest beyond, shape (n,) [mm].
 
         From an ellipse it is that from one of the same shape, along the shorter axis.
         """
         z, half = points_mm[:, 2], np.array(self.section_mm) / 2
         level = np.clip(z, self.base_mm[2], self.top_mm[2])
-        across = np.abs(self.own(points_mm[:, :2] - self.axis_at(level))) - half
+        own = self.own(points_mm[:, :2] - self.axis_at(level))
         if self.is_round:
-            across = (np.linalg.norm(across / half + 1, axis=1, keepdims=True) - 1) * half.min()
+            across = (np.linalg.norm(own / half, axis=1, keepdims=True) - 1) * half.min()
+        else:
+            normals, off_mm = self.sides
+            across = own @ normals.T - off_mm
         return np.maximum(np.column_stack([across, np.abs(z - level)]).max(axis=1), 0.0)
 
     def corners(self, sides: int = SIDES) -> FloatArray:
         """The corners of the lower end, anticlockwise from above, then those of the upper, shape (2 n, 3) [mm].
 
-        n is 4, of an ellipse the sides of a polygon of the same area.
+        n is its section's, of an ellipse the sides of a polygon of the same area.
         """
+        across = self.polygon
         if self.is_round:
             angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
             larger = math.sqrt(2 * np.pi / (sides * math.sin(2 * np.pi / sides)))
-            signs = larger * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
-        else:
-            signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
-        half = signs * np.array([*self.section_mm, 0.0]) / 2
-        half[:, :2] = self.placed(half[:, :2])
+            across = larger * np.column_stack([np.cos(angle), np.sin(angle)]) * self.section_mm / 2
+        half = np.pad(self.placed(across), ((0, 0), (0, 1)))
         return np.vstack([np.array(self.base_mm) + half, np.array(self.top_mm) + half])
 
     def cuts(self, other: "Prism", slack_mm: float) -> bool:
         """True if two prisms share more than faces: penetration by up to the slack counts as touching.
 
-        Of ellipses and of turned sections the rectangles along x and y around them count.
+        Of sections that are no rectangles along x and y those around them count.
         """
         low = max(self.base_mm[2], other.base_mm[2])
         high = min(self.top_mm[2], other.top_mm[2])
@@ -159,19 +190,23 @@ def pillar_prisms(design: "SensorDesign") -> list[Prism]:
 def unit_prisms(unit: "Unit", centre_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Prism]:
     """The pillars of one unit, without references."""
     unit = unit.body
-    widths, turned = np.array(pillar_widths(unit)), leans_both_ways(unit)
+    pillars, widths = unit.layout.pillars, np.array(pillar_widths(unit))
+    # a section that a quarter turn changes is turned along any lean
+    is_same = [{(-y, x) for x, y in SECTIONS[one.section]} == {*SECTIONS[one.section]} for one in pillars]
+    turned = np.where(is_same, leans_both_ways(unit), pillar_vectors(unit)[:, :2].any(axis=1))
     along_lean = np.column_stack([widths * rest_lengths(unit) / unit.height_mm, widths])
+    along_lean *= [half_extents(one.section) for one in pillars]
     sections = np.where(turned[:, None], along_lean, pillar_sections(unit))
     return [
         Prism(
             base_mm=tuple((centre_mm + base).tolist()),
             top_mm=tuple((centre_mm + top).tolist()),
             section_mm=tuple(section.tolist()),
-            is_round=pillar.is_round,
+            section=pillar.section,
             is_turned=is_turned,
         )
         for (base, top), section, pillar, is_turned in zip(
-            pillar_ends(unit), sections, unit.layout.pillars, turned.tolist(), strict=True
+            pillar_ends(unit), sections, pillars, turned.tolist(), strict=True
         )
     ]
 

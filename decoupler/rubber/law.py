@@ -6,11 +6,12 @@ import numpy as np
 
 from common.quantity import Sound, positive, quantity
 from dataset.memory import broken_contacts, log_rise, relaxed_forces
-from geometry.design import LOG_RISES, MODELS, RATES, Memory, Prony
+from geometry.design import LOG_RISES, RATES, Memory, Prony
 from geometry.layout import FloatArray
 
 #: numbers of the memory in the order of a covariance; rates and times by their logarithms
 NAMES = ("g1", "g2", "a1", "a2", "b_lengthen", "b_shorten", "tau1_s", "tau2_s")
+MODELS = ("linear", "neo-hookean", "mooney-rivlin", "yeoh")  #: laws whose force `settled_stress` gives
 SIZES, STRAINS = (0.0, 1e12), (-0.95, 1e6)  #: that deviations and strains may have
 LINEAR = 4  #: so many are no logarithms
 

@@ -82,7 +82,7 @@ def why_tetrahedra(design: SensorDesign, tolerance: float) -> str | None:
     if design.pad.kind == "stiff":
         return "boxes are for soft pads"
     pillars = unit_prisms(design.unit)
-    if any(prism.is_round or prism.is_turned for prism in pillars):
+    if not all(prism.is_rectangular for prism in pillars):
         return "boxes are for square pillars that lean along x or y"
     lines = cut_lines(design, pillars, STAGES[contrast < 1][0][1])
     for prism, axis in product(pillars, (0, 1)):

@@ -16,7 +16,6 @@ from skfem import MeshTet
 
 from fem.array.cell import CondensedCell, PortModes, condense
 from fem.kernel.field import Field, Places
-from fem.kernel.law import LAWS
 from fem.kernel.loads import DeadLoad, Load, StiffLoad
 from fem.kernel.mirrors import QUARTER, Mirror
 from fem.kernel.mixed import mixed_rubber
@@ -30,6 +29,7 @@ from fem.scene.scene import Probe, Scene, Sensor
 from fem.scene.solution import Stopwatch
 from fem.scene.tetrahedra import AdaptedTetrahedra
 from geometry.design import Material, SensorDesign, at_rest, lone_unit
+from geometry.law import LAWS
 from geometry.layout import FloatArray, electrode_squares, pad_squares
 from geometry.mesh import sensor_mesh
 

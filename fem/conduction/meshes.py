@@ -156,10 +156,13 @@ def _joints(unit: Unit, round_across: int) -> list[Joint]:
             raise DesignError(
                 f"conduction takes one oblique pillar at an electrode, {name} has {len(obliques)}: take eq. 1."
             )
-        sections = {(widths[k], layout.pillars[k].is_round) for k in own}
+        sections = {(widths[k], layout.pillars[k].section) for k in own}
         if len(sections) > 1:
             raise DesignError(f"conduction takes pillars of one section at an electrode, {name} has two: take eq. 1.")
-        ((width, is_round),) = sections
+        ((width, section),) = sections
+        is_round = section == "round"
+        if not (is_round or section == "square"):
+            raise DesignError(f"conduction takes square and round pillars, at {name} they are {section}: take eq. 1.")
         if is_round and unit.electrode_mm < width * (1 - 1e-6):
             raise DesignError(
                 f"conduction takes round pillars on electrodes at least as wide: raise electrode_mm from "

@@ -20,12 +20,12 @@ from fem.contact.indentation import Contact
 from fem.contact.shapes import Shape
 from fem.contact.tiles import span
 from fem.kernel.factor import Factor, SolverError
-from fem.kernel.law import LAWS
 from fem.kernel.mixed import mixed_rubber, quadrature_lines
 from fem.kernel.newton import Linearised, damped
 from fem.kernel.system import State, System
 from fem.kernel.top import Covered, FollowingPressures
 from fem.meshes.grid import Grid
+from geometry.law import LAWS
 from geometry.layout import FloatArray, electrode_squares, unit_centres
 from geometry.shares import pillar_shares
 

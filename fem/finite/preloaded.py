@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from fem.kernel.factor import Factor
 from fem.kernel.field import slopes_at
-from fem.kernel.law import LAWS
 from fem.kernel.loads import StiffLoad
 from fem.kernel.mixed import mixed_rubber, quadrature_lines
 from fem.kernel.newton import Linearised, Relaxed, Unwanted, find_equilibrium
@@ -20,6 +19,7 @@ from fem.kernel.rubber import Rubber
 from fem.kernel.system import State, System
 from fem.meshes.grid import Grid
 from geometry.design import SensorDesign
+from geometry.law import LAWS
 from geometry.layout import FloatArray, unit_centres, upper_electrodes
 from geometry.prism import unit_prisms
 from geometry.shares import pillar_shares

@@ -18,10 +18,10 @@ from numpy.polynomial.legendre import leggauss
 from skfem import Element
 
 from fem.kernel.elements import Basis
-from fem.kernel.law import LAWS, MIN_LAME
 from fem.kernel.reference import IntArray, point_stiffness, tabulated
 from fem.kernel.rubber import Rubber
 from geometry.design import Material
+from geometry.law import LAWS, MIN_LAME
 from geometry.layout import FloatArray
 from geometry.prism import Prism
 

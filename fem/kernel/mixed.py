@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from fem.kernel.elements import Basis, hexahedra
-from fem.kernel.law import Law
 from fem.kernel.rubber import Rubber
 from fem.meshes.grid import Grid
 from geometry.design import Material
+from geometry.law import Law
 from geometry.layout import FloatArray
 
 ORDER = 2  #: of the elements

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from skfem import Element, Mesh
 
 from fem.kernel.elements import Basis
-from fem.kernel.law import LAWS, Law, Strain, plus_unit
 from fem.kernel.reference import PAIRS, point_stiffness, pulls, reference
 from geometry.design import Material
+from geometry.law import LAWS, Law, Strain, plus_unit
 from geometry.layout import FloatArray
 
 IntArray = NDArray[np.int64]

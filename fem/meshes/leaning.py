@@ -29,10 +29,10 @@ class Leaning:
     def of(cls, outline: Prism, prisms: Sequence[Prism], slack_mm: float) -> "Leaning | None":
         """Lines along the faces of a body of a rectangular section and of prisms in it; upright beyond a prism's ends.
 
-        None where they would meet or cross, or sections are round or turned.
+        None where they would meet or cross, or sections are no rectangles along x and y.
         """
         every = [outline, *prisms]
-        if any(prism.is_round or prism.is_turned for prism in every):
+        if not all(prism.is_rectangular for prism in every):
             return None
         leaning = [prism for prism in every if not prism.is_upright]
         ends = [outline.base_mm[2], outline.top_mm[2]]

@@ -86,7 +86,7 @@ def mesh_body(
     shapes = [
         [
             *(prism.base_mm, prism.top_mm, prism.section_mm),
-            *(("round", MESHED_SIDES) if prism.is_round else ()),
+            *(() if prism.section == "square" else (prism.section, MESHED_SIDES)),
             *(("turned",) if prism.is_turned else ()),
         ]
         for prism in parts

@@ -24,7 +24,6 @@ from common.threads import one_blas_thread
 from fem.kernel.elements import Basis, HexQ, Pressure, hexahedra, lobatto_points
 from fem.kernel.factor import Factor, checked_solve
 from fem.kernel.field import unfolded
-from fem.kernel.law import LAWS
 from fem.kernel.loads import Load, StiffLoad
 from fem.kernel.mirrors import parities
 from fem.kernel.rubber import Rubber
@@ -37,6 +36,7 @@ from fem.methods.plan import Plan
 from fem.scene.probes import probe_rows
 from fem.scene.scene import Scene, regions_at
 from fem.scene.solution import MeshAnswer, Solution, Stopwatch
+from geometry.law import LAWS
 from geometry.layout import FloatArray
 
 ORDERS = 3, 4  #: of the two answers on a mesh; at 0.1 % order 3 takes two to five times the unknowns of 4

@@ -145,16 +145,16 @@ def pillar_surface(unit: Unit, slices: int = SLICES, around: int = AROUND, apart
 
 
 def column_surface(prism: Prism, slices: int, around: int, inward_mm: float) -> Cells:
-    """A straight column between equal rectangles or ellipses at its two ends, smaller by so much all around."""
+    """A straight column between equal sections at its two ends, smaller by so much all around."""
     axis = prism.axis_mm * (1 - 2 * inward_mm / prism.height_mm)
     foot = (np.array(prism.base_mm) + prism.top_mm - axis) / 2
     if prism.is_round:
         angle = np.linspace(0.0, 2 * np.pi, 8 * around + 1)
         outline = np.column_stack([np.cos(angle), np.sin(angle)]) / 2
     else:
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) / 2
-        place = np.arange(4 * around + 1) / around
-        outline = np.column_stack([np.interp(place, range(5), along) for along in corners.T])
+        corners = np.vstack([prism.polygon, prism.polygon[:1]]) / prism.section_mm
+        place = np.arange((len(corners) - 1) * around + 1) / around
+        outline = np.column_stack([np.interp(place, range(len(corners)), along) for along in corners.T])
     ring = np.pad(outline * (np.array(prism.section_mm) - 2 * inward_mm) @ prism.turn, ((0, 0), (0, 1)))
     points, walls = sheet(foot, np.zeros(3), axis, len(ring) - 1, slices)
     points = (points.reshape(len(ring), -1, 3) + ring[:, None]).reshape(-1, 3)

@@ -12,11 +12,12 @@ from fem.kernel.loads import LOAD_KINDS, Load
 from fem.scene.scene import Block, Body, Inclusion, Pillar, Probe, Scene, Sensor
 from geometry.design import Material, SensorDesign
 from geometry.design_file import MATERIALS, design_from_dict, with_silicones
+from geometry.law import RATIOS
 from geometry.silicones import of_silicone
 
 STRICT = StrictTables(SceneError)
 BODIES: dict[str, type[Body]] = {"block": Block, "pillar": Pillar, "unit": Sensor, "array": Sensor}
-MATERIAL_KEYS, OF_MODEL = ("young_mpa", "poisson"), ("stiffening", "second_ratio")
+MATERIAL_KEYS = ("young_mpa", "poisson")
 
 
 def read_scene(path: Path) -> Scene:
@@ -56,7 +57,7 @@ def _scene(table: dict[str, Any]) -> Scene:
         table = table | {"material": STRICT.made("[material]", of_silicone, table=table["material"])}
     if "material" in table or not is_sensor:
         rubber = _needed(table, "material", "; it holds young_mpa and poisson")
-        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model", *OF_MODEL), MATERIAL_KEYS)
+        material = STRICT.filled("[material]", Material, rubber, (*MATERIAL_KEYS, "model", *RATIOS), MATERIAL_KEYS)
     if is_sensor:
         design = _design(STRICT.table(table, "design"), material)
         given, material = {"design": design, "kind": kind}, design.matrix_material
@@ -117,8 +118,8 @@ def _inclusion(place: str, entry: dict[str, Any], model: str) -> Inclusion:
     entry = STRICT.made(place, of_silicone, table=entry, model=model)
     prism = tuple(key for key in keys_of(Inclusion) if key != "material")
     keys = (*prism, *MATERIAL_KEYS)
-    STRICT.require_keys(entry, (*keys, *OF_MODEL), f" in {place}", keys)
-    own = {key: entry[key] for key in (*MATERIAL_KEYS, *OF_MODEL) if key in entry}
+    STRICT.require_keys(entry, (*keys, *RATIOS), f" in {place}", keys)
+    own = {key: entry[key] for key in (*MATERIAL_KEYS, *RATIOS) if key in entry}
     material = STRICT.made(place, Material, **own, model=model)
     inclusion: Inclusion = STRICT.made(place, Inclusion, **{key: entry[key] for key in prism}, material=material)
     return inclusion

@@ -15,9 +15,9 @@ from decoupler.rubber.inversion import LawInverse
 from decoupler.rubber.law import NAMES, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import read_series
-from fem.kernel.law import LAWS
 from geometry.design import Material, Memory, SensorDesign
 from geometry.design_file import read_design
+from geometry.law import LAWS
 from studies.pictures.rubber import ELASTIC, MEMORY, NOISE, bench
 from studies.real_rubber.array import followed
 

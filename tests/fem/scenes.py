@@ -36,9 +36,18 @@ DIAGONAL = Layout(
 BESIDE = replace(SONG2018, pillars=(*SONG2018.pillars, PillarOf("r", "L2", "U2", width_mm=3.0, reference=True)))
 
 
+#: a section of flat sides w apart
+HEXAGON = tuple((x, y / 3**0.5) for x, y in ((-1, -1), (0, -2), (1, -1), (1, 1), (0, 2), (-1, 1)))
+
+
+def of_section(layout: Layout, section: str) -> Layout:
+    """The same layout, its pillars of another section."""
+    return replace(layout, pillars=tuple(replace(one, section=section) for one in layout.pillars))
+
+
 def round_of(layout: Layout) -> Layout:
     """The same layout, its pillars round."""
-    return replace(layout, pillars=tuple(replace(one, section="round") for one in layout.pillars))
+    return of_section(layout, "round")
 
 
 def coarse_cells(patch: pytest.MonkeyPatch, level: int = 1, degree: int = 4) -> None:

@@ -24,7 +24,7 @@ from tests.fem.scenes import pressed
 YOUNG_MPA, NU = 6.1, 0.49
 EXACT = 1e-12  #: for what differs by rounding alone
 STIFF = Inclusion(
-    base_mm=(3.0, 3.0, 0.0), top_mm=(5.0, 5.0, 4.0), section_mm=(2.0, 2.0), is_round=True,
+    base_mm=(3.0, 3.0, 0.0), top_mm=(5.0, 5.0, 4.0), section_mm=(2.0, 2.0), section="round",
     material=Material(young_mpa=10 * YOUNG_MPA, poisson=NU),
 )  # fmt: skip
 

@@ -128,7 +128,7 @@ def test_every_face_is_where_it_belongs():
 def test_round_prisms_keep_their_volume_as_they_are_refined():
     """Of eight sides and leaning both ways, 1e-9; half of its side's cells halved three times belong where they did."""
     column = Prism(
-        base_mm=(3.5, 4.5, 0.0), top_mm=(6.5, 5.5, 6.0), section_mm=(2.5, 2.0), is_round=True, is_turned=True
+        base_mm=(3.5, 4.5, 0.0), top_mm=(6.5, 5.5, 6.0), section_mm=(2.5, 2.0), section="round", is_turned=True
     )
     coarse, _ = mesh_scene(pressed_block((10.0, 10.0, 6.0), Material()), [column])
     mesh = coarse

@@ -9,10 +9,11 @@ import trimesh
 from fem.pictures.parts import pillar_surface
 from geometry import Array, DesignError, Pad, SensorDesign, Unit
 from geometry.cad import sensor_solids, unit_solid
-from geometry.castability import castability
+from geometry.castability import castability, conductive_mm3
 from geometry.layout import (
     AXES,
     LAYOUTS,
+    SECTIONS,
     SONG2018,
     Electrode,
     Layout,
@@ -32,7 +33,7 @@ from geometry.mould import Mould, mould_solids
 from geometry.prism import MESHED_SIDES, SIDES, Prism, pillar_prisms, prisms_at, slab_prism, unit_prisms
 from geometry.shares import pillar_shares
 from geometry.wiring import unit_crossings
-from tests.fem.scenes import BESIDE, DIAGONAL, round_of
+from tests.fem.scenes import BESIDE, DIAGONAL, HEXAGON, of_section, round_of
 
 EXACT = 1e-14  # rounding
 
@@ -120,7 +121,7 @@ def test_points_inside_pillars_are_those_inside_their_hulls(design):
 
 
 def test_round_prisms_hold_what_lies_on_their_ellipses():
-    prism = Prism(base_mm=(1.0, 0.0, 0.0), top_mm=(4.0, 0.0, 6.0), section_mm=(4.0, 2.0), is_round=True)
+    prism = Prism(base_mm=(1.0, 0.0, 0.0), top_mm=(4.0, 0.0, 6.0), section_mm=(4.0, 2.0), section="round")
     angle = np.linspace(0.0, 6.0, 20)
     on_side = np.column_stack([3.5 + 2 * np.cos(angle), np.sin(angle), np.full(20, 5.0)])
     assert prism.distance(on_side) == pytest.approx(np.zeros(20), abs=1e-12)
@@ -133,7 +134,7 @@ def test_round_prisms_hold_what_lies_on_their_ellipses():
 @pytest.mark.parametrize(("sides", "stiffer"), [(MESHED_SIDES, 2.25e-3), (SIDES, 2.6e-5)])
 def test_polygons_of_round_sections_have_their_area_and_bend_nearly_as_they_do(sides, stiffer):
     """Of n sides: ∫ x² = A² (2 + cos θ) / 6 n sin θ with θ = 2π/n, where a circle has A² / 4π."""
-    prism = Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 1.0), section_mm=(3.0, 2.0), is_round=True)
+    prism = Prism(base_mm=(0.0, 0.0, 0.0), top_mm=(0.0, 0.0, 1.0), section_mm=(3.0, 2.0), section="round")
     x, y = prism.corners(sides)[:sides, :2].T
     u, v = np.roll(x, -1), np.roll(y, -1)
     cross = x * v - u * y
@@ -145,10 +146,16 @@ def test_polygons_of_round_sections_have_their_area_and_bend_nearly_as_they_do(s
     assert moments == pytest.approx([ratio * np.pi / 64 * 3.0**3 * 2.0, ratio * np.pi / 64 * 2.0**3 * 3.0], rel=1e-12)
 
 
-@pytest.mark.parametrize("is_round", [False, True], ids=["square", "round"])
-def test_pillars_that_lean_both_ways_are_as_wide_across_as_others(is_round):
-    """w × w or a circle perpendicular to the axis, S·l in volume; points are inside by it as by the hull of corners."""
-    unit = Unit(layout=round_of(DIAGONAL) if is_round else DIAGONAL)
+@pytest.mark.parametrize("layout", [DIAGONAL, SONG2018], ids=["diagonal", "song2018"])
+@pytest.mark.parametrize("section", [*SECTIONS, "hexagon"])
+def test_pillars_are_as_wide_across_however_they_lean(layout, section, monkeypatch):
+    """Regular perpendicular to the axis, S·l in volume; points are inside by it as by the hull of corners.
+
+    Also of a section that is only listed, of flat sides w apart.
+    """
+    monkeypatch.setitem(SECTIONS, "hexagon", HEXAGON)
+    unit, is_round = Unit(layout=of_section(layout, section)), section == "round"
+    assert unit_solid(unit).volume == pytest.approx(conductive_mm3(SensorDesign(unit=unit)) / 36, rel=2e-3)
     for one, volume, extents in zip(unit_prisms(unit), pillar_volumes(unit), pillar_sections(unit), strict=True):
         corners, axis = one.corners(), one.axis_mm / np.linalg.norm(one.axis_mm)
         hull = trimesh.convex.convex_hull(corners)

@@ -11,7 +11,7 @@ import trimesh
 
 from geometry import Array, GeometryError, Material, Pad, SensorDesign, Unit
 from geometry.cad import unit_solid
-from geometry.layout import LAYOUTS
+from geometry.layout import LAYOUTS, SECTIONS
 from geometry.mesh import (
     REGIONS,
     MeshTask,
@@ -28,7 +28,7 @@ from geometry.mesh import (
 )
 from geometry.mesher import run_apart
 from geometry.prism import Prism, pillar_prisms, prisms_at
-from tests.fem.scenes import DIAGONAL, round_of
+from tests.fem.scenes import DIAGONAL, HEXAGON, round_of
 from tests.geometry.closed_forms import union_mm3
 
 COARSE = 0.25  #: level of edges of 5 mm at the top
@@ -169,7 +169,7 @@ def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monke
 def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     """A leaning column of ten unequal chords, its points off the side by 2 %: π a b h/4, whatever the chords."""
     column = Prism(
-        base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 1.2), is_round=True, is_turned=True
+        base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 1.2), section="round", is_turned=True
     )
     generator = np.random.default_rng(0)
     angle = 2 * np.pi * (np.arange(10) + generator.uniform(-0.3, 0.3, 10)) / 10
@@ -191,16 +191,18 @@ def test_faces_along_round_sides_are_moved_out_to_enclose_what_the_side_does():
     assert np.array_equal(snap_to_side(points, faces, column, 1e-3), points)  # further away than the slack
 
 
-@pytest.mark.parametrize("is_turned", [False, True])
-def test_faces_near_the_planes_of_a_prism_are_put_onto_them(is_turned):
+@pytest.mark.parametrize(("section", "is_turned"), [("square", False), ("square", True), ("hexagon", True)])
+def test_faces_near_the_planes_of_a_prism_are_put_onto_them(section, is_turned, monkeypatch):
     """A corner lies on three: it comes back whole. Of a round prism the ends alone are planes."""
-    prism = Prism(base_mm=(1.0, 2.0, 0.0), top_mm=(5.0, 4.0, 6.0), section_mm=(3.0, 2.0), is_turned=is_turned)
+    monkeypatch.setitem(SECTIONS, "hexagon", HEXAGON)
+    ends_mm = {"base_mm": (1.0, 2.0, 0.0), "top_mm": (5.0, 4.0, 6.0)}
+    prism = Prism(**ends_mm, section_mm=(3.0, 2.0), section=section, is_turned=is_turned)
     faces = trimesh.convex.convex_hull(prism.corners())
     off = np.random.default_rng(0).uniform(-0.01, 0.01, faces.vertices.shape)
     found = snap_to_prism(faces.vertices + off, faces.faces, prism, 0.05)
     assert found == pytest.approx(np.array(faces.vertices), abs=1e-12)
     assert np.array_equal(snap_to_prism(faces.vertices + off, faces.faces, prism, 1e-6), faces.vertices + off)
-    ends = snap_to_prism(faces.vertices + off, faces.faces, replace(prism, is_round=True), 0.05)
+    ends = snap_to_prism(faces.vertices + off, faces.faces, replace(prism, section="round"), 0.05)
     assert ends[:, 2] == pytest.approx(np.array(faces.vertices)[:, 2], abs=1e-12)
     across = [prism.own(points[:, :2] - prism.axis_at(points[:, 2])) for points in (ends, faces.vertices + off)]
     assert across[0] == pytest.approx(across[1], abs=1e-12)

@@ -1,5 +1,7 @@
 """Solids of sensor and mould against closed forms, their checked surfaces, and the files they are written to."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 import trimesh
@@ -18,11 +20,19 @@ from geometry.cad import (
     write_solids,
 )
 from geometry.castability import castability
-from geometry.layout import LAYOUTS, leans_both_ways, pillar_ends, pillar_volumes, unit_centres, upper_electrodes
+from geometry.layout import (
+    LAYOUTS,
+    SECTIONS,
+    leans_both_ways,
+    pillar_ends,
+    pillar_volumes,
+    unit_centres,
+    upper_electrodes,
+)
 from geometry.mould import Mould, mould_solids, write_cad
 from geometry.shares import pillar_shares
 from geometry.surface import check_surface, surface_from_solid
-from tests.fem.scenes import DIAGONAL, round_of
+from tests.fem.scenes import DIAGONAL, HEXAGON, of_section, round_of
 from tests.geometry.closed_forms import oblique_width, union_mm3
 
 UNIT = SensorDesign().unit
@@ -172,6 +182,18 @@ def test_the_lid_lifts_straight_off_and_units_lift_out_but_for_the_heel_of_the_y
     assert overlap_mm3(parts["mould_lid"], parts["mould_tray"]) == pytest.approx(0.0, abs=EXACT)
     with pytest.raises(DesignError, match=r"clearance_mm=1 leaves no wedges .* pillar_width_mm, 1;"):
         mould_solids(small_design, Mould(clearance_mm=1.0))
+
+
+def test_pillars_of_a_section_that_is_only_listed_are_moulded(monkeypatch):
+    """Lid, block and rubber fill the slab and meet nowhere."""
+    monkeypatch.setitem(SECTIONS, "hexagon", HEXAGON)
+    unit = Unit(layout=of_section(LAYOUTS["six-pillar"], "hexagon"))
+    design = SensorDesign(unit=unit, array=Array(rows=1, cols=1))
+    parts, (x, y, h) = mould_solids(design, Mould(clearance_mm=0.0)), design.slab_mm
+    filling = parts["mould_lid"], parts["mould_pillars"], unit_solid(unit)
+    assert [overlap_mm3(one, other) for one, other in combinations(filling, 2)] == pytest.approx([0.0] * 3, abs=1e-6)
+    room = box(x, y, 0.0, h)
+    assert sum(overlap_mm3(part, room) for part in filling) == pytest.approx(room.volume, rel=1e-9)
 
 
 @pytest.mark.parametrize(

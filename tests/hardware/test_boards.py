@@ -81,7 +81,7 @@ def test_any_board_on_any_port_gives_its_info_and_its_scans(kind, request):
     """In their order, with their counts, at the times of the board's clock; all of them where a port has an end."""
     info = CHIP if "chip" in kind else MAT if kind == "lines" else INFO
     with BOARDS[kind](request.getfixturevalue) as port:
-        protocol, _ = spoken_on("", matrix_info(6, 18) if kind == "lines" else None)
+        protocol, _ = spoken_on(f"{kind}+", matrix_info(6, 18) if kind == "lines" else None)
         link, scans = Link(port, None, PATIENT_S, protocol), []
         while len(scans) < N and not link.is_finished:
             scans += link.take(link.read())

@@ -21,6 +21,7 @@ from tripillar.cli.help import meaning, options_of
 from tripillar.cli.parser import app_of, parsed
 from tripillar.cli.plain import typed_plainly
 from tripillar.face.inputs import COUNTS, TIMES
+from tripillar.face.streaming import FILES
 
 APP = app_of()
 NAMES = [name for names in COMMANDS.values() for name in names]
@@ -39,7 +40,7 @@ NEEDED = {
     "tare": {"port": "text.txt", "out": "x.json"},
     "rubber": {"next_test": "next.csv"}, "info": {"port": "text.txt"}, "board": {"chip": "python"},
 }  # fmt: skip
-WRITTEN = {"out", "twin", "vtu", "picture", "save", "mcap", "rrd", "keep", "link", "truth", "next_test"}
+WRITTEN = {"out", "twin", "vtu", "picture", "save", "keep", "link", "truth", "next_test", *FILES}
 FILES = {
     "unknown.toml": "[array]\nrowz = 3\n",
     "sphere.toml": "[body]\nkind = 'sphere'\n",

@@ -13,7 +13,7 @@ from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage
 from tripillar.face.inputs import BOARD, LINES, WIRES, File, Flag, ModelLike, job, model_of, to_write
-from tripillar.face.streaming import STREAMS, AskedStreams
+from tripillar.face.streaming import FILES, STREAMS, AskedStreams
 
 LARGE = 2**24  #: bytes of a recording that take a second or a few to read
 SHORT = 10_000  #: frames of a recording whose forces take a second or a few
@@ -79,7 +79,7 @@ def info(
     return measured
 
 
-@job(mcap=None, rrd=None)
+@job(**dict.fromkeys(FILES))
 def watch(
     port: str,
     /,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from common.quantity import quantity
@@ -25,7 +25,8 @@ class AskedStreams:
 
     def require(self) -> None:
         """Refuse files of other kinds and addresses that are none, before a board is opened."""
-        for name, path in (("mcap", self.mcap), ("rrd", self.rrd)):
+        for name in FILES:
+            path = getattr(self, name)
             to_write(name, path, f".{name}")
             stages.require_new(None if path is None else Path(path))
         for address in (self.foxglove_at, self.rerun_at):
@@ -56,3 +57,4 @@ class AskedStreams:
 
 
 STREAMS = Options(AskedStreams)
+FILES = [spec.name for spec in fields(AskedStreams) if spec.type == File | None]  #: to write, and how they end

@@ -9,10 +9,10 @@ from skfem import BilinearForm, CellBasis, asm
 from skfem.helpers import dot, grad
 
 from fem.kernel.factor import Factor, checked_solve, whole
-from fem.kernel.law import LAWS
 from fem.kernel.plates import turns
 from fem.kernel.system import System
 from geometry.design import Material
+from geometry.law import LAWS
 from tests.fem.kernel.bodies import KINDS, RUBBER, body_of, model
 
 SLOPES = np.array([[0.05, 0.1, -0.2], [0.02, -0.1, 0.05], [-0.1, 0.05, 0.2]])  #: ∂u/∂X of a uniform deformation

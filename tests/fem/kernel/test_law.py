@@ -8,10 +8,10 @@ from scipy.optimize import brentq
 
 from common.errors import DesignError
 from fem.kernel.elements import hexahedra
-from fem.kernel.law import LAWS
 from fem.kernel.rubber import Rubber
 from fem.meshes.grid import Grid
 from geometry.design import Material
+from geometry.law import LAWS
 
 LINES = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0, 2.5, 4.0]), np.array([0.0, 1.5, 4.0])
 RUBBER = Material(young_mpa=6.1, poisson=0.49, model="neo-hookean")

@@ -10,13 +10,13 @@ from common.errors import SceneError
 from fem.kernel.elements import hexahedra
 from fem.kernel.factor import whole
 from fem.kernel.field import unfolded
-from fem.kernel.law import LAWS
 from fem.kernel.loads import DeadLoad, FollowerLoad, Load, StiffLoad
 from fem.kernel.mirrors import QUARTER
 from fem.kernel.rubber import Rubber
 from fem.kernel.system import System
 from fem.meshes.grid import Grid
 from geometry.design import Material
+from geometry.law import LAWS
 from tests.fem.kernel.bodies import KINDS, LEAN, RUBBER, body_of, model, solved
 
 OTHER = Material(young_mpa=20.0, poisson=0.3)

@@ -8,10 +8,10 @@ import pytest
 from skfem import MeshHex
 
 from fem.kernel.elements import Basis, hexahedra
-from fem.kernel.law import cofactors
 from fem.kernel.loads import FollowerLoad
 from fem.kernel.system import System
 from fem.kernel.top import PatchError, Top
+from geometry.law import cofactors
 from tests.fem.kernel.bodies import LINES, body_of, model
 
 #: the whole top of an upright body, parts of it across faces, a sliver along an edge of it

@@ -7,27 +7,25 @@ stress, with H = F − I the gradient of the displacement:
     P = ∂W/∂F + p ∂θ/∂F
 
 All laws are Hooke's of the same λ and μ at small strain. Another one is a class with W and its two derivatives, and its
-line in `LAWS`.
+line in `LAWS`, by whose names designs and scenes know them.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.design import Material
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from geometry.design import Material
 
 MIN_LAME = 1e-9  #: least λ over μ, which mixed elements divide by where ν = 0
 EPSILON = [(i, j, k, sign) for sign in (1, -1) for i, j, k in [(s, (s + sign) % 3, (s - sign) % 3) for s in range(3)]]
-
-
-def _mean_of(materials: Sequence[Material], shares: FloatArray, ratio: str) -> FloatArray:
-    """Of a ratio times μ [MPa], as shares of materials mix."""
-    return np.tensordot([getattr(material, ratio) * material.lame_mpa[1] for material in materials], shares, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +54,24 @@ class Strain:
 
 @dataclass(frozen=True, eq=False)
 class Law(ABC):
-    """Rubber of Lamé's constants, arrays that broadcast to the points [MPa]."""
+    """Rubber of Lamé's constants, arrays that broadcast to the points [MPa]; ratios of its own are further fields."""
 
     mu_mpa: FloatArray
     lame_mpa: FloatArray
 
     @classmethod
-    def of(cls, materials: Sequence[Material], shares: FloatArray) -> "Law":
+    def ratios(cls) -> list[str]:
+        """Names of its own constants, ratios of moduli, by which `Material` has them."""
+        return [spec.name for spec in fields(cls) if spec.name not in Law.__annotations__]
+
+    @classmethod
+    def of(cls, materials: "Sequence[Material]", shares: FloatArray) -> Self:
         """The law of mixtures of rubbers, shares (n_materials, ...) of each at every point, as of their moduli."""
         lame = np.array([material.lame_mpa for material in materials])
         first, mu = np.tensordot(lame.T, shares, 1)
-        return cls(mu_mpa=mu, lame_mpa=np.maximum(first, MIN_LAME * mu))
+        own = {name: np.array([getattr(material, name) for material in materials]) for name in cls.ratios()}
+        mixed = {name: np.tensordot(ratio * lame[:, 1], shares, 1) / mu for name, ratio in own.items()}
+        return cls(mu_mpa=mu, lame_mpa=np.maximum(first, MIN_LAME * mu), **mixed)
 
     @property
     def is_linear(self) -> bool:
@@ -93,9 +98,10 @@ class Law(ABC):
     def tangent(self, strain: Strain, p: FloatArray) -> FloatArray:
         """∂²W/∂F² + p ∂²θ/∂F², shape (3, 3, 3, 3, ...), entry [i, J, j, L] [MPa]."""
 
-    def part(self, some: slice | NDArray) -> "Law":
+    def part(self, some: slice | NDArray) -> Self:
         """The law at some of the places along the first axis of λ and μ."""
-        return replace(self, mu_mpa=self.mu_mpa[some], lame_mpa=self.lame_mpa[some])
+        parts = {name: np.broadcast_to(value, self.mu_mpa.shape)[some] for name, value in vars(self).items()}
+        return replace(self, **parts)
 
 
 class Linear(Law):
@@ -153,15 +159,6 @@ class MooneyRivlin(Law):
 
     second_ratio: FloatArray | float = 0.0  #: r = c₂/(c₁ + c₂), as λ and μ
 
-    @classmethod
-    def of(cls, materials: Sequence[Material], shares: FloatArray) -> "MooneyRivlin":
-        law = super().of(materials, shares)
-        return cls(law.mu_mpa, law.lame_mpa, _mean_of(materials, shares, "second_ratio") / law.mu_mpa)
-
-    def part(self, some: slice | NDArray) -> "MooneyRivlin":
-        ratio = np.broadcast_to(self.second_ratio, self.mu_mpa.shape)[some]
-        return MooneyRivlin(self.mu_mpa[some], self.lame_mpa[some], ratio)
-
     def _constants(self) -> tuple[FloatArray, FloatArray]:
         return (1 - self.second_ratio) / 2 * self.mu_mpa, self.second_ratio / 2 * self.mu_mpa
 
@@ -208,14 +205,6 @@ class Yeoh(NeoHookean):
 
     stiffening: FloatArray | float = 0.0  #: k = c₂/c₁, as λ and μ
 
-    @classmethod
-    def of(cls, materials: Sequence[Material], shares: FloatArray) -> "Yeoh":
-        law = super().of(materials, shares)
-        return cls(law.mu_mpa, law.lame_mpa, _mean_of(materials, shares, "stiffening") / law.mu_mpa)
-
-    def part(self, some: slice | NDArray) -> "Yeoh":
-        return Yeoh(self.mu_mpa[some], self.lame_mpa[some], np.broadcast_to(self.stiffening, self.mu_mpa.shape)[some])
-
     def energy(self, strain: Strain) -> FloatArray:
         return super().energy(strain) * (1.0 + self.stiffening * self._G(strain))
 
@@ -241,6 +230,7 @@ LAWS: dict[str, type[Law]] = {
     "mooney-rivlin": MooneyRivlin,
     "yeoh": Yeoh,
 }
+RATIOS = tuple(dict.fromkeys(name for law in LAWS.values() for name in law.ratios()))  #: of all laws
 
 
 def plus_unit(A: FloatArray, scale: FloatArray | float) -> FloatArray:
