@@ -57,11 +57,12 @@ class Typed(Caller):
         print(*lines, sep="\n", file=sys.stderr if self.as_json else sys.stdout)
 
     def show(self, indent: int | None = 2) -> None:
-        """Print the answer; without an indent JSON is one line."""
-        for result, text, _, _ in self.answers:
-            if self.as_json:
-                print(json.dumps(result(), indent=indent), flush=True)
-            elif callable(text):
+        """Print the answer, of several jobs as one; without an indent JSON is one line."""
+        if self.as_json and self.answers:
+            together = {name: each for result, *_ in self.answers for name, each in result().items()}
+            print(json.dumps(together, indent=indent), flush=True)
+        for _, text, _, _ in () if self.as_json else self.answers:
+            if callable(text):
                 from tripillar.terminal.tables import show
 
                 for table in text():

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.loads import PAPERS, Loads, loads_of
     from dataset.measurement import ReadingError, Readout
-    from dataset.protocols import INDENT, PROTOCOLS, forces, pad_protocol
+    from dataset.protocols import INDENT, PROTOCOLS, forces
     from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dataset.table import TABLES, holds_samples, write_table
     from dataset.variables import ARRAYS, VARIABLES
     from decoupler.data.columns import Columns, acting_component, component_named
-    from decoupler.data.enough import ENOUGH, drawn
+    from decoupler.data.enough import ENOUGH
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
     from decoupler.data.usual_loads import usual_loads
