@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Tolerances = Mapping[str, float] | None
     Known = stages.Twin | DesignLike | None
 else:
-    Tolerances = Annotated[None, Flag(parse=False)]  # of the command line those of the design's file
+    Tolerances = None  # of the command line those of the design's file
     Known = Path
 
 MAX_NEXT = 100  #: loads that are proposed in advance
@@ -336,7 +336,9 @@ def identify_as_typed(
         possible_loads(sensor or SensorDesign(), have)
     found = None if is_empty else identify(**more)
     if next_loads:
-        plan_loads(found or design, next_loads, have=have, usual=more.get("usual"), tolerances=_tolerances(design, None))
+        plan_loads(
+            found or design, next_loads, have=have, usual=more.get("usual"), tolerances=_tolerances(design, None)
+        )
 
 
 def _tolerances(design: object, given: Mapping[str, float] | None) -> Mapping[str, float] | None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 else:
     SeveralSamples = list[Path]
     Predictions = Path | None
-    Response = Annotated[None, Flag(parse=False)]  # for Python alone
+    Response = None  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
 AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     Pressures = float | str | Sequence[float | str] | None
     Scale = float | str | None
 else:
-    Pressures = Annotated[tuple[str, ...], Flag(consume_multiple=True)]
+    Pressures = tuple[str, ...]
     Scale = str
 
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
