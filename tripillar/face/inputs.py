@@ -56,7 +56,7 @@ class Options:
     """Mark of a job's ``**options``: they are those of a dataclass or of another job, and flags of the command line.
 
     `names` are those meant, all if there are none; `shown` has the types of those that are typed otherwise than Python
-    takes them.
+    takes them, None of those that are not typed.
     """
 
     def __init__(self, source: Callable[..., Any], *names: str, **shown: Any) -> None:

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
 from common.errors import DesignError
-from decoupler.model.settings import Feature, Net, Trainer
+from decoupler.model.settings import NetworkConfig, TrainingConfig
 from geometry.design import SensorDesign
 from geometry.design import Unit as PillarUnit
 from geometry.layout import FloatArray, require_told, told_by_tilt, untold
@@ -41,6 +40,13 @@ else:
 
 Component = Literal["fz", "fx", "fy", "all"]
 AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
+NETWORK = Options(NetworkConfig)
+TRAINING = Options(
+    TrainingConfig,
+    goal_mse=Annotated[float | None, Flag(name=("--goal",))],
+    max_iterations=Annotated[int, Flag(name=("--iterations",))],
+    **dict.fromkeys(("patience", "least_gain", "held_out", "learning_rate", "momentum")),  # for Python alone
+)
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
@@ -70,17 +76,10 @@ def train(
     unit: Unit | None = None,
     scale: float | None = None,
     out: Annotated[File | None, Flag(required=True)] = None,
-    net: Net = "skip",
-    hidden: int = 17,
-    trainer: Trainer = "varpro",
-    feature: Feature = "auto",
-    goal_mse: Annotated[float | None, Flag(name=("--goal",))] = None,
-    max_iterations: Annotated[int, Flag(name=("--iterations",))] = 0,
-    seed: int = 0,
     design: DesignLike | None = None,
     response: Response = None,
     force: bool = False,
-    **settings: Any,
+    **settings: Annotated[Any, NETWORK, TRAINING],
 ) -> "stages.Decoupler | stages.TouchDecoder":
     """Train a network that turns resistances into forces; or make a decoder of whatever presses.
 
@@ -104,21 +103,6 @@ def train(
         How many times as large as in their files they are.
     out : path, optional
         Model file to write (.safetensors).
-    net : str
-        Network: plain, as in the paper; with a linear skip past the hidden layer; or a convolution over units, for data
-        without a known response.
-    hidden : int
-        Number of hidden nodes.
-    trainer : str
-        Method: variable projection, Levenberg-Marquardt, or the paper's momentum.
-    feature : str
-        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses.
-    goal_mse : float, optional
-        Mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own.
-    max_iterations : int
-        Largest number of iterations; 0: the trainer's own.
-    seed : int
-        Seed of the random start.
     design : SensorDesign or path, optional
         Design file (TOML) for data that state none; default: the paper's sensor, if its array has their size.
     response : ArrayResponse, optional
@@ -126,7 +110,8 @@ def train(
     force : bool
         Go on although the data look wrong; a model remembers why they did.
     **settings
-        Further fields of `decoupler.TrainingConfig`, such as patience or held_out.
+        Fields of `decoupler.NetworkConfig`: hidden, net and feature; and of `decoupler.TrainingConfig`: trainer,
+        goal_mse, max_iterations, seed, patience, held_out and more.
 
     Returns
     -------
@@ -166,13 +151,11 @@ def train(
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
         raise DesignError("give data=, samples to train on; or touch=True.")
-    training = stages.TrainingConfig(
-        trainer=trainer, goal_mse=goal_mse, max_iterations=max_iterations, seed=seed, **settings
-    )
+    network, training = NetworkConfig(**NETWORK.of(settings)), TrainingConfig(**TRAINING.of(settings))
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     samples, name = _together(sources), name_of(sources[0], "samples")
-    few = stages.enough(samples, seed, name, "train the network")
-    parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
+    few = stages.enough(samples, training.seed, name, "train the network")
+    parts, network, solved, forced = _checked(few, name, network, response, component, design, force)
     if solved is None and samples.design is None and design is None:
         caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
@@ -195,7 +178,7 @@ def train(
     return model
 
 
-TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "goal_mse", "seed", "design", "force")
+OF_DATA = Options(train, "component", "design", "force")
 
 
 @job()
@@ -207,7 +190,7 @@ def evaluate(
     folds: int | None = None,
     predictions: Predictions = None,
     response: Response = None,
-    **training: Annotated[Any, TRAINING],
+    **training: Annotated[Any, OF_DATA, NETWORK, TRAINING],
 ) -> "dict[str, stages.Assessment]":
     """Show the errors of a model, or of another's predictions, beside what the readings allow; or cross-validate.
 
@@ -230,7 +213,7 @@ def evaluate(
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     **training
-        With folds: component, net, hidden, trainer, feature, goal_mse, seed, design, force and more, as of `train`.
+        With folds: component, design, force, hidden, net, trainer, seed and more, as of `train`.
 
     Returns
     -------
@@ -268,9 +251,7 @@ def evaluate(
     if sum(each is None for each in (model, folds, predictions)) != 2:
         raise DesignError("give model=, predictions=, or folds= to cross-validate: one of them.")
     if folds is not None:
-        asked = signature(train).bind(data, response=response, **training)
-        asked.apply_defaults()
-        return _cross_validated(samples_of(data), name, folds, asked.arguments)
+        return _cross_validated(samples_of(data), name, folds, response, training)
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
@@ -308,15 +289,13 @@ def _predicted(source: "FloatArray | File") -> "FloatArray":
 
 
 def _cross_validated(
-    samples: "stages.AnySamples", name: str, folds: int, asked: dict[str, Any]
+    samples: "stages.AnySamples", name: str, folds: int, response: "stages.ArrayResponse | None", asked: dict[str, Any]
 ) -> "dict[str, stages.Assessment]":
     """Errors of networks trained, as `train` is asked, on all folds but the one that tests them."""
-    of_training = ("trainer", "goal_mse", "max_iterations", "seed")
-    training = stages.TrainingConfig(**{key: asked[key] for key in of_training}, **asked["settings"])
+    network, training = NetworkConfig(**NETWORK.of(asked)), TrainingConfig(**TRAINING.of(asked))
     stages.split_folds(min(len(samples), stages.ENOUGH), folds, training.seed)  # refuses too many before anything
     few = stages.enough(samples, training.seed, name, "are split")
-    of_network = ("component", "net", "hidden", "feature", "design", "response", "force")
-    parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
+    parts, network, solved, _ = _checked(few, name, network, response, **OF_DATA.of(asked))
     advance = current().bars.begin(f"{folds} folds", total=folds)
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
     result = {"feature": network.feature} | stages.summary(tested)
@@ -408,17 +387,16 @@ def _mention_untrusted(model: "stages.Decoupler") -> None:
 
 
 def _checked(
-    samples: "stages.Samples", name: str, component: Component | None, net: Net, hidden: int, feature: Feature,
-    stated: "DesignLike | None", response: "stages.ArrayResponse | None", force: bool,
-) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
+    samples: "stages.Samples", name: str, asked: NetworkConfig, response: "stages.ArrayResponse | None",
+    component: Component | None = None, design: "DesignLike | None" = None, force: bool = False,
+) -> "tuple[str, NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
-    design = None if stated is None else design_of(stated)
-    network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
-    named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
+    stated = None if design is None else design_of(design)
+    named, is_automatic = component or stages.acting_component(samples.force_n), asked.feature == "auto"
     if component is None and named == "all" and untold(PillarUnit(layout=samples.layout)):
         named = "fz"
     parts = stages.component_named(named)
-    sensor = samples.design or design
+    sensor = samples.design or stated
     is_stated = sensor is not None or response is not None
     if not is_stated and stages.fits(SensorDesign(), samples):
         sensor = SensorDesign()
@@ -427,16 +405,16 @@ def _checked(
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
-    if feature == "inverse" or (is_automatic and net != "plain"):
+    if asked.feature == "inverse" or (is_automatic and asked.net != "plain"):
         solved = stages.response_of(samples, name, sensor, response)
     is_finite = samples.is_finite.any()
-    stages.require_heeded(samples, name, design, named == "all" and solved is not None, (hidden, net, feature))
-    _, network, _, _ = stages.suited(samples, named, network, None, solved)
+    stages.require_heeded(samples, name, stated, named == "all" and solved is not None, asked)
+    _, network, _, _ = stages.suited(samples, named, asked, None, solved)
     chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not is_finite:
         note = "the response of the design does not explain these data: inputs are √R"
     if is_automatic and chosen == "inverse" and samples.design is None and response is None:
-        which = "the paper's sensor" if design is None else "the given design"
+        which = "the paper's sensor" if stated is None else "the given design"
         note = f"the data state no design, but the response of {which} explains them and is used"
     # a guessed design that does not explain the samples cannot judge them
     judging = solved if solved is not None and (is_stated or chosen == "inverse") else None

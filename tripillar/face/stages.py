@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from decoupler.inverse.sensor_model import SensorModel
     from decoupler.model.decoupler import Decoupler
     from decoupler.model_file import read_model, require_same_sensor, write_model
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
     from decoupler.rubber.check import RubberCheck, checked as check_rubber, doubted
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber
