@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from dataset.measurement import ReadingError, Readout
     from dataset.protocols import INDENT, PROTOCOLS, forces
     from dataset.samples import AnySamples, Samples, joined, require_dtype, require_samples
-    from dataset.settings import DatasetSettings
     from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import TABLES, holds_samples, write_table
