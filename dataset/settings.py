@@ -1,7 +1,7 @@
 """Settings of a dataset: what loads the sensor, within which ranges, and how it is read."""
 
 from dataclasses import MISSING, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,9 +11,11 @@ from common.storage.files import digest
 from dataset.imperfections import SEEDS, Imperfections
 from dataset.loads import CAP, PAPERS, Loads, Range, loads_of
 from dataset.protocols import INDENT, LIGHT_N, SUMMARIES, TABLE, Listed, Protocol, listed, pad_protocol
-from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
 
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
 MAX_MPA = 100.0  #: of loads
@@ -97,7 +99,7 @@ class DatasetSettings(Imperfections):
         """Ranges of the loads on pads."""
         return Loads.of(self.pressure_mpa, self.shear_mpa)
 
-    def suited(self, response: ArrayResponse) -> "DatasetSettings":
+    def suited(self, response: "ArrayResponse") -> "DatasetSettings":
         """The same with a design's own range of loads, where none is given and it does not bear the paper's."""
         if self.protocol in (INDENT, TABLE):
             return self
