@@ -171,13 +171,11 @@ def write(thing: "Written", path: Path | str) -> None:
             raise ArgumentError(f"{path} is the name of the twin's decoder: give the twin one that ends in .toml.")
         stages.write_model(thing.decoder, decoder)
         stages.write_twin(thing, path, decoder)
-    elif isinstance(thing, stages.TouchDecoder):
+    elif isinstance(thing, stages.Decoupler) and path.suffix in (".onnx", ".h"):
+        stages.export_model(thing, path)
+    elif isinstance(thing, stages.Decoder):
         stages.write_model(thing, path)
-    elif not isinstance(thing, stages.Decoupler):
+    else:
         raise ArgumentError(
             f"a {type(thing).__name__} cannot be written: give a design, a response, samples, a model or a twin."
         )
-    elif path.suffix in (".onnx", ".h"):
-        stages.export_model(thing, path)
-    else:
-        stages.write_model(thing, path)

@@ -9,8 +9,7 @@ import numpy as np
 
 from common.errors import DesignError
 from decoupler.model.settings import NetworkConfig, TrainingConfig
-from geometry.design import SensorDesign
-from geometry.design import Unit as PillarUnit
+from geometry.design import SensorDesign, Unit
 from geometry.layout import FloatArray, require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -27,7 +26,7 @@ from tripillar.face.inputs import (
     name_of,
     samples_of,
 )  # fmt: skip
-from tripillar.face.pressing import Turn, Unit, read_tool
+from tripillar.face.pressing import TOOL, read_tool
 
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -72,14 +71,11 @@ def train(
     *,
     touch: bool = False,
     shape: list[File] | None = None,
-    turn_deg: Turn = None,
-    unit: Unit | None = None,
-    scale: float | None = None,
     out: Annotated[File | None, Flag(required=True)] = None,
     design: DesignLike | None = None,
     response: Response = None,
     force: bool = False,
-    **settings: Annotated[Any, NETWORK, TRAINING],
+    **settings: Annotated[Any, TOOL, NETWORK, TRAINING],
 ) -> "stages.Decoupler | stages.TouchDecoder":
     """Train a network that turns resistances into forces; or make a decoder of whatever presses.
 
@@ -95,12 +91,6 @@ def train(
         seconds.
     shape : list of path, optional
         Files of tools that press, too, as of 'press'.
-    turn_deg : float or str, optional
-        Angle of the tools about z, or X,Y,Z about x, y and z [degrees].
-    unit : str, optional
-        Unit of their files' numbers.
-    scale : float, optional
-        How many times as large as in their files they are.
     out : path, optional
         Model file to write (.safetensors).
     design : SensorDesign or path, optional
@@ -110,8 +100,8 @@ def train(
     force : bool
         Go on although the data look wrong; a model remembers why they did.
     **settings
-        Fields of `decoupler.NetworkConfig`: hidden, net and feature; and of `decoupler.TrainingConfig`: trainer,
-        goal_mse, max_iterations, seed, patience, held_out and more.
+        Fields of `decoupler.NetworkConfig`: hidden, net and feature; of `decoupler.TrainingConfig`: trainer, goal_mse,
+        max_iterations, seed, patience, held_out and more; of the tools turn_deg, unit and scale, as of `press`.
 
     Returns
     -------
@@ -140,13 +130,13 @@ def train(
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
     """
-    caller, path = current(), None if out is None else Path(out)
-    if not (shape or turn_deg is unit is scale is None):
+    caller, path, tool = current(), None if out is None else Path(out), TOOL.of(settings)
+    if tool and not shape:
         raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, shape or (), turn_deg, unit, scale)
+        return _touch_decoder(design, path, shape or (), tool)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
@@ -305,7 +295,7 @@ def _cross_validated(
 
 
 def _touch_decoder(
-    source: DesignLike | None, out: Path | None, shapes: Sequence[File], *tool: Any
+    source: DesignLike | None, out: Path | None, shapes: Sequence[File], tool: dict[str, Any]
 ) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
@@ -321,7 +311,7 @@ def _touch_decoder(
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
-    solids = [read_tool(shape, *tool) for shape in shapes]
+    solids = [read_tool(shape, **tool) for shape in shapes]
     for note in (note for solid in solids for note in solid.notes):
         caller.say(f"warning: {note}")
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
@@ -393,14 +383,14 @@ def _checked(
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
     stated = None if design is None else design_of(design)
     named, is_automatic = component or stages.acting_component(samples.force_n), asked.feature == "auto"
-    if component is None and named == "all" and untold(PillarUnit(layout=samples.layout)):
+    if component is None and named == "all" and untold(Unit(layout=samples.layout)):
         named = "fz"
     parts = stages.component_named(named)
     sensor = samples.design or stated
     is_stated = sensor is not None or response is not None
     if not is_stated and stages.fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    require_told(PillarUnit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
+    require_told(Unit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
