@@ -79,7 +79,8 @@ def parameters_of(job: Job) -> Iterator[tuple[inspect.Parameter, Any, Flag]]:
         flag = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
         if not (given.kind is given.POSITIONAL_ONLY or flag.name):
             name = flag_of(given.name)
-            flag = replace(flag, name=("--out", "-o") if name == "--out" else (name,))
+            negative = ("--no-" + name.removeprefix("--"),) if given.default is True else ()
+            flag = replace(flag, name=("--out", "-o") if name == "--out" else (name,), negative=negative)
         if hint is not None:
             yield given, hint, flag
 

@@ -12,7 +12,7 @@ from common.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage
-from tripillar.face.inputs import BOARD, LINES, WIRES, File, Flag, ModelLike, job, model_of, to_write
+from tripillar.face.inputs import BOARD, LINES, WIRES, File, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import STREAMS, AskedStreams
 
 LARGE = 2**24  #: bytes of a recording that take a second or a few to read
@@ -223,7 +223,7 @@ def replay(
     rubber: File | None = None,
     speed: float | None = None,
     out: File | None = None,
-    crosstalk: Annotated[bool, Flag(negative=("--no-crosstalk",))] = True,
+    crosstalk: bool = True,
     **log: Annotated[Any, LINES],
 ) -> "stages.Forces | None":
     """Turn a recording into forces, or watch it again.

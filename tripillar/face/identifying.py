@@ -25,7 +25,7 @@ from tripillar.face.inputs import (
     design_of,
     job,
 )  # fmt: skip
-from tripillar.face.twins import given_pairs, identified, measured, planned, possible_loads, require_pairs
+from tripillar.face.twins import given_pairs, identified, measured, planned, possible_loads
 
 if TYPE_CHECKING:
     Tolerances = Mapping[str, float] | None
@@ -270,7 +270,11 @@ def calibrate(
     if noise is not None and not 0 < noise < 1:
         raise DesignError(f"noise={noise:g} must be above 0 and below 1; 0.001 is 0.1 % of a resistance.")
     given = measured(data, design, more, None, force)
-    pairs, response = require_pairs(given), stages.respond(given.design or SensorDesign(), current().bars)[1]
+    if not isinstance(pairs := given.pairs, stages.Pairs):
+        raise DesignError(
+            "gains and offsets are found from pairs of a board, a recording or a table: a data set has no circuit."
+        )
+    response = stages.respond(given.design or SensorDesign(), current().bars)[1]
     found, residual = stages.calibrated(pairs, response, given.electronics, given.serial, noise, force)
     if out is not None:
         stages.write_calibration(found, Path(out))

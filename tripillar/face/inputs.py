@@ -48,7 +48,7 @@ class Flag:
     """Mark of a job's parameter that is typed otherwise than its name and type say; one of type None is not typed."""
 
     name: tuple[str, ...] = ()  #: how it is typed; default: by its name
-    negative: tuple[str, ...] = ()  #: how the opposite of a bool is typed
+    negative: tuple[str, ...] = ()  #: how the opposite of a bool is typed; default: --no-NAME of what is else true
     required: bool = False  #: on the command line, where a default would be written to a file unasked
 
 

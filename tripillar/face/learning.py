@@ -176,7 +176,7 @@ def evaluate(
     model: ModelLike | None = None,
     data: Annotated[SamplesLike | None, Flag(required=True)] = None,
     *,
-    limits: Annotated[bool, Flag(negative=("--no-limits",))] = True,
+    limits: bool = True,
     folds: int | None = None,
     predictions: Predictions = None,
     response: Response = None,

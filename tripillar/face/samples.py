@@ -57,7 +57,7 @@ def dataset(
     loads: File | None = None,
     crossbar: Circuit | None = None,
     sense_ohm: float | None = None,
-    correct: Annotated[bool, Flag(negative=("--no-correct",))] = True,
+    correct: bool = True,
     strain: Literal["linear", "finite"] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from common.errors import DesignError
 from common.storage.files import write_text
 from common.storage.journal import Journal
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, Flag, design_of, job, require_packages
+from tripillar.face.inputs import DesignLike, File, design_of, job, require_packages
 from tripillar.terminal.interrupts import last_words
 
 MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
@@ -179,7 +179,7 @@ def _shown(what: str, total: int) -> Callable[["stages.Row"], None]:
 
 
 @job()
-def doctor(*, compute: Annotated[bool, Flag(negative=("--no-compute",))] = True) -> "list[stages.Check]":
+def doctor(*, compute: bool = True) -> "list[stages.Check]":
     """Check this machine: versions, solver, display, serial ports, known answers.
 
     Ends with code 1 if something is wrong.

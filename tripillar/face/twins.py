@@ -82,15 +82,6 @@ def given_pairs(data: Any, design: DesignLike | None) -> "tuple[stages.AnySample
     return pairs, getattr(pairs, "design", None) if design is None else design_of(design)
 
 
-def require_pairs(given: Measured) -> "stages.Pairs":
-    """Pairs that were read through electronics; a `DesignError` of samples, whose pillars are read alone."""
-    if not isinstance(given.pairs, stages.Pairs):
-        raise DesignError(
-            "gains and offsets are found from pairs of a board, a recording or a table: a data set has no circuit."
-        )
-    return given.pairs
-
-
 def identified(
     given: Measured, usual: str | None, tolerances: Mapping[str, float] | None,
     finite: SamplesLike | ModelLike | None, force: bool,
