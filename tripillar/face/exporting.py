@@ -120,13 +120,13 @@ def _write_header(design: SensorDesign, path: Path) -> Path:
 
 def damage(path: Path, recorded: "stages.Recording") -> str:
     """One line on what of a file is damaged and left out; empty if nothing is."""
-    found = [f"byte {at}" for at in recorded.damaged_at[:MAX_NAMED]]
+    places = [f"byte {at}" for at in recorded.damaged_at[:MAX_NAMED]]
     if (more := len(recorded.damaged_at) - MAX_NAMED) > 0:
-        found.append(f"{more} more places")
+        places.append(f"{more} more places")
     ends = "its last frame is cut off" if recorded.truncated_bytes else ""
-    if recorded.received_s is None and not found and (lines := recorded.statistics.bad_form):
+    if recorded.received_s is None and not places and (lines := recorded.statistics.bad_form):
         ends = f"{lines} lines that are no matrix of numbers from 0 on are left out"
-    said = "; ".join(part for part in (f"damaged at {', '.join(found)}, left out" if found else "", ends) if part)
+    said = "; ".join(part for part in (f"damaged at {', '.join(places)}, left out" if places else "", ends) if part)
     return f"warning: {path}: {said}" if said else ""
 
 

@@ -347,9 +347,9 @@ def _assessed_touch(decoder: "stages.TouchDecoder", data: "SamplesLike") -> "dic
     """Errors of a touch decoder: of units, of the net force and of its place."""
     samples = stages.in_memory(samples_of(data, labels_only=False))
     advance = current().bars.begin("touches", total=len(samples))
-    found = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
-    current().answer(found.plain, lambda: stages.assessed_touch_tables(found))
-    return found.by_force
+    assessed = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
+    current().answer(assessed.plain, lambda: stages.assessed_touch_tables(assessed))
+    return assessed.by_force
 
 
 def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":

@@ -160,11 +160,11 @@ def press(
 def _as_plain(contact: "stages.Contact", strain: float) -> dict[str, Any]:
     arrays = ("net_force_n", "moment_nmm", "centre_mm", "force_n")
     names = ("area_mm2", "peak_mpa", "error_estimate", "electrode_error_estimate", "sticking", "steepness")
-    found = {name: getattr(contact, name).tolist() for name in arrays} | {
+    plain = {name: getattr(contact, name).tolist() for name in arrays} | {
         name: getattr(contact, name) for name in names
     }
     ohms = stages.samples_of_contacts([contact]).resistance_ohm[0]
-    return found | {"largest_strain": strain, "resistance_ohm": ohms.tolist()}
+    return plain | {"largest_strain": strain, "resistance_ohm": ohms.tolist()}
 
 
 def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
@@ -205,9 +205,9 @@ def _numbers(name: str, given: Any, like: str = "two numbers, such as 7.5,-3", a
     if not isinstance(given, str | int | float):
         return given
     try:
-        found = tuple(map(float, (alone.format(given) if alone and "," not in str(given) else str(given)).split(",")))
+        numbers = tuple(map(float, (alone.format(given) if alone and "," not in str(given) else str(given)).split(",")))
     except ValueError:
-        found = ()
-    if len(found) != like.count(","):
+        numbers = ()
+    if len(numbers) != like.count(","):
         raise DesignError(f"{name}={given}: must be {like}.")
-    return found
+    return numbers

@@ -220,13 +220,13 @@ def dataset(
         )
         if sensor.matrix_material.model == "linear":
             line += "; linear rubber was taken for neo-Hookean of the same E and ν"
-    share = story["redrawn"] / (samples + story["redrawn"])
-    if not in_time and share > MAX_REDRAWN:
+    redrawn = story["redrawn"] / (samples + story["redrawn"])
+    if not in_time and redrawn > MAX_REDRAWN:
         line += (
-            f"\n{share:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: lower "
-            "the loads by --pressure or --shear, or raise --cap"
+            f"\n{redrawn:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: "
+            "lower the loads by --pressure or --shear, or raise --cap"
         )
-    result |= {} if in_time else {"redrawn_share": share}
+    result |= {} if in_time else {"redrawn_share": redrawn}
     line += "" if test_share is None else f"\n{of_test.samples} more for tests, under loads of their own"
     caller.answer(lambda: result, f"{said}{line}", *files)
     return made

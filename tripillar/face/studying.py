@@ -124,11 +124,11 @@ def sweep(
         return _optimized(asked, source, folder, workers, scheduler)
     require_packages("sweep", "pyarrow", "matplotlib")
     samples, journal = stages.samples_of_sweep(asked), Journal(folder / f"{source.stem}-rows")
-    found = stages.kept_rows(samples, journal, retry)
-    missing = [sample for sample in samples if sample.cache_key not in found]
+    by_key = stages.kept_rows(samples, journal, retry)
+    missing = [sample for sample in samples if sample.cache_key not in by_key]
     with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
-        found |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
-    rows = [found[sample.cache_key] for sample in samples]
+        by_key |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
+    rows = [by_key[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
     stages.write_parquet(rows, asked.metrics, files[0])
     if stages.told(rows, asked):
