@@ -1,12 +1,11 @@
 """Identify one sensor from measured pairs; say which loads to measure; or find its gains and offsets alone."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from common.errors import DesignError
-from common.quantity import quantity
 from geometry.design import SensorDesign
 from geometry.design_file import read_tolerances
 from tripillar.face import stages
@@ -25,7 +24,7 @@ from tripillar.face.inputs import (
     design_of,
     job,
 )  # fmt: skip
-from tripillar.face.twins import given_pairs, identified, measured, planned, possible_loads
+from tripillar.face.twins import MEASURING, given_pairs, identified, measured, planned, possible_loads
 
 if TYPE_CHECKING:
     Tolerances = Mapping[str, float] | None
@@ -35,30 +34,6 @@ else:
     Known = Path
 
 MAX_NEXT = 100  #: loads that are proposed in advance
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measuring:
-    """How pairs are measured that no file has yet."""
-
-    port: str | None = quantity(
-        None, "board to measure pairs on, or a recording; with a table of loads or typed weights"
-    )
-    loads: File | None = quantity(
-        None,
-        "table (CSV) of the loads to put on: load,row,col,fz_n and more, of a recording from_s,to_s; default: weights, "
-        "asked for in grams",
-    )
-    keep: File | None = quantity(
-        None, "table (CSV) for measured pairs, and to continue from; default: beside the model"
-    )
-    calibration: File | None = quantity(
-        None, "calibration file to take switches and wires from; gains and tare are made anew"
-    )
-    seconds: float = quantity(1.0, "time to average over under each load [s]")
-
-
-MEASURING = Options(Measuring)
 
 
 @job(out=".safetensors", twin=".toml", keep=None)
@@ -100,7 +75,7 @@ def identify(
     force : bool
         Go on although the data look wrong; a model remembers why they did.
     **more
-        In place of data the fields of `identifying.Measuring`, of `inputs.Wires`, and baud and timeout of
+        In place of data the fields of `twins.Measuring`, of `inputs.Wires`, and baud and timeout of
         `inputs.Board`.
 
     Returns

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from common.errors import DesignError, require_type
+from common.quantity import quantity
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray, untold
 from tripillar.face import stages
@@ -15,7 +16,9 @@ from tripillar.face.inputs import (
     LINES,
     WIRES,
     DesignLike,
+    File,
     ModelLike,
+    Options,
     PairsLike,
     SamplesLike,
     design_of,
@@ -23,6 +26,30 @@ from tripillar.face.inputs import (
     name_of,
     samples_of,
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measuring:
+    """How pairs are measured that no file has yet."""
+
+    port: str | None = quantity(
+        None, "board to measure pairs on, or a recording; with a table of loads or typed weights"
+    )
+    loads: File | None = quantity(
+        None,
+        "table (CSV) of the loads to put on: load,row,col,fz_n and more, of a recording from_s,to_s; default: weights, "
+        "asked for in grams",
+    )
+    keep: File | None = quantity(
+        None, "table (CSV) for measured pairs, and to continue from; default: beside the model"
+    )
+    calibration: File | None = quantity(
+        None, "calibration file to take switches and wires from; gains and tare are made anew"
+    )
+    seconds: float = quantity(1.0, "time to average over under each load [s]")
+
+
+MEASURING = Options(Measuring)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +66,13 @@ class Measured:
 def measured(
     data: PairsLike | None, design: DesignLike | None, more: Mapping[str, Any], beside: Path | None, force: bool
 ) -> Measured:
-    """Pairs as given, or as a board or a recording shows them; `more` has the options of `identifying.Measuring`.
+    """Pairs as given, or as a board or a recording shows them; `more` has the options of `Measuring`.
 
     The design is the stated one, else that of samples, which may have none, else the paper's. Pairs of a board are kept
     `beside` the model unless another table is named.
     """
-    port, loads, keep, calibration = (more.get(name) for name in ("port", "loads", "keep", "calibration"))
+    asked = Measuring(**MEASURING.of(more))
+    port, loads, keep, calibration = asked.port, asked.loads, asked.keep, asked.calibration
     for is_wrong, said in (
         (data is not None and port is not None, "give data= or port=, not both."),
         (data is None and port is None, "give data= or port=, measured pairs; plan_loads says which to measure first."),
@@ -64,8 +92,8 @@ def measured(
             raise DesignError("keep= is for a board: pairs of a recording are kept already.")
         pairs, serial = stages.measured_in_recording(*board, force, **LINES.of(more))
     else:
-        kept = beside if keep is None else Path(keep)
-        pairs, serial = stages.measured_live(*board, more.get("seconds", 1.0), force, kept, **BARE_BOARD.of(more))
+        table = beside if keep is None else Path(keep)
+        pairs, serial = stages.measured_live(*board, asked.seconds, force, table, **BARE_BOARD.of(more))
     return Measured(pairs=pairs, name=port, design=sensor, electronics=electronics, serial=serial)
 
 
