@@ -17,8 +17,8 @@ from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.decoupler.test_finite_strain import identified
 from tests.house import House
 from tripillar.face import stages, twins
-from tripillar.face.identifying import identify, plan_loads
 from tripillar.face.caller import Caller, called_by
+from tripillar.face.identifying import identify, plan_loads
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
