@@ -1,7 +1,7 @@
 """Settings of a dataset: what loads the sensor, within which ranges, and how it is read."""
 
 from dataclasses import MISSING, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,9 +11,11 @@ from common.storage.files import digest
 from dataset.imperfections import SEEDS, Imperfections
 from dataset.loads import CAP, PAPERS, Loads, Range, loads_of
 from dataset.protocols import INDENT, LIGHT_N, SUMMARIES, TABLE, Listed, Protocol, listed, pad_protocol
-from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
 from geometry.layout import FloatArray
+
+if TYPE_CHECKING:
+    from fem.array.response import ArrayResponse
 
 BLOCK = 512  #: samples drawn with one generator; a block's arrays fit the processor's cache
 MAX_MPA = 100.0  #: of loads
@@ -27,17 +29,32 @@ class DatasetSettings(Imperfections):
 
     protocol: str = quantity(MISSING, "kind of loads", of=tuple(SUMMARIES))
     samples: int = quantity(MISSING, "number of samples", within=(1, MAX_SAMPLES))
-    seed: int = quantity(0, "seed of all that is random", within=SEEDS)
+    seed: int = quantity(0, "seed of the random loads and noise", within=SEEDS)
     cap: float = quantity(
-        CAP, "largest pillar strain |l − l₀|/l₀ of an accepted sample", above_0=True, within=(0, 1), below=True
+        CAP, "largest strain of a pillar; loads past it are drawn again", above_0=True, within=(0, 1), below=True
     )
     pressure_mpa: Range | None = quantity(
-        None, "least and largest pressure on a pad [MPa]", True, within=(0, MAX_MPA), count=2
+        None,
+        "least and largest pressure on a pad [MPa]; default: 1 5, the paper's, or what the design bears",
+        True,
+        within=(0, MAX_MPA),
+        count=2,
     )
-    shear_mpa: Range | None = quantity(None, "the same of shear [MPa]", True, within=(0, MAX_MPA), count=2)
+    shear_mpa: Range | None = quantity(
+        None,
+        "least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure",
+        True,
+        within=(0, MAX_MPA),
+        count=2,
+    )
     table_mpa: Listed | None = quantity(None, "tractions on the pads of each load of a table [MPa]", True)
-    history_s: float = quantity(0.0, "seconds of history that a sample goes through; 0: none", True, within=(0, 1e6))
-    rate_hz: float = quantity(50.0, "moments of a history a second", True, above_0=True, within=(1e-6, 1e4))
+    history_s: float = quantity(
+        0.0,
+        "seconds of a series of presses, holds, ramps and touches that each sample becomes; 0: samples without a time",
+        True,
+        within=(0, 1e6),
+    )
+    rate_hz: float = quantity(50.0, "moments of a series a second [Hz]", True, above_0=True, within=(1e-6, 1e4))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -82,7 +99,7 @@ class DatasetSettings(Imperfections):
         """Ranges of the loads on pads."""
         return Loads.of(self.pressure_mpa, self.shear_mpa)
 
-    def suited(self, response: ArrayResponse) -> "DatasetSettings":
+    def suited(self, response: "ArrayResponse") -> "DatasetSettings":
         """The same with a design's own range of loads, where none is given and it does not bear the paper's."""
         if self.protocol in (INDENT, TABLE):
             return self

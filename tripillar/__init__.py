@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from tripillar.face.boards import record, replay
     from tripillar.face.bodies import response, solve
     from tripillar.face.exporting import write
-    from tripillar.face.identifying import identify
+    from tripillar.face.identifying import calibrate, identify, plan_loads
     from tripillar.face.learning import evaluate, train
     from tripillar.face.samples import dataset
     from tripillar.face.simulating import board
@@ -71,10 +71,12 @@ __all__ = [
     "TriPillarError",
     "VirtualSensor",
     "board",
+    "calibrate",
     "dataset",
     "evaluate",
     "identify",
     "live",
+    "plan_loads",
     "read_design",
     "read_model",
     "read_samples",

@@ -41,10 +41,20 @@ class TrainingError(TriPillarError, ArithmeticError):
 class NetworkConfig(Sound):
     """Form of a network with one tanh hidden layer; the data give its inputs and outputs."""
 
-    hidden: int = quantity(17, "hidden nodes: the paper's best; its eq. 16 gives 10 to 19", within=(0, MAX_HIDDEN))
-    net: Net = quantity("skip", "plain is the paper's; skip adds a linear map of the inputs", of=get_args(Net))
+    #: 17 is the paper's best; its eq. 16 gives 10 to 19
+    hidden: int = quantity(17, "number of hidden nodes", within=(0, MAX_HIDDEN))
+    net: Net = quantity(
+        "skip",
+        "network: plain, as in the paper; with a linear skip past the hidden layer; or a convolution over units, for "
+        "data without a known response",
+        of=get_args(Net),
+    )
     #: √R is proportional to a pillar's length; auto is the inverse of a response that explains the samples, else √R
-    feature: Feature = quantity("auto", "inputs: R, √R, or the response's own inverse", of=get_args(Feature))
+    feature: Feature = quantity(
+        "auto",
+        "inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses",
+        of=get_args(Feature),
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,10 +67,14 @@ class TrainingConfig(Sound):
     """Settings of a training, always on the full batch; errors are of outputs scaled to [-1, 1]."""
 
     trainer: Trainer = quantity(
-        "varpro", "variable projection, Levenberg-Marquardt, or the paper's momentum rule", of=get_args(Trainer)
+        "varpro", "method: variable projection, Levenberg-Marquardt, or the paper's momentum", of=get_args(Trainer)
     )
-    goal_mse: float | None = quantity(None, "stop when reached; default: the trainer's own", within=(0, math.inf))
-    max_iterations: int = quantity(0, "stop at the latest then; 0: the trainer's own", within=(0, math.inf))
+    goal_mse: float | None = quantity(
+        None,
+        "mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own",
+        within=(0, math.inf),
+    )
+    max_iterations: int = quantity(0, "largest number of iterations; 0: the trainer's own", within=(0, math.inf))
     patience: int = quantity(
         0, "stop if so many iterations have not gained least_gain; 0: the trainer's own", within=(0, math.inf)
     )

@@ -23,7 +23,6 @@ from decoupler.twin.decoder import decoder_at_strain, decoder_of
 from decoupler.twin.expectation import Expectation, Widths
 from decoupler.twin.linearised import Readings
 from decoupler.twin.near_designs import NearDesigns
-from decoupler.twin.next_load import NextLoad
 from decoupler.twin.posterior import Specimen, infer, without_each
 from geometry.design import SensorDesign
 from geometry.layout import AXES, FloatArray
@@ -46,9 +45,13 @@ class Twin:
 
     design: SensorDesign  #: as it was meant
     decoder: Decoupler  #: its forces from its resistances
-    n_pairs: int
+    pairs: Pairs  #: that show it
     posterior: Specimen
-    next_loads: tuple[NextLoad, ...] = ()  #: to measure next, in order, if any were asked for
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of the pairs."""
+        return len(self.pairs)
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -135,7 +138,7 @@ def identify(
                 decoder = _widened(decoder, found, readings)
     made_from = {"identified_on": pairs.content_hash, "pairs": n}
     decoder = replace(decoder, dead=dead, made_from=made_from)
-    return Twin(design=design, decoder=decoder, n_pairs=n, posterior=found)
+    return Twin(design=design, decoder=decoder, pairs=pairs, posterior=found)
 
 
 def _contradicted(found: Specimen, stated: Widths) -> bool:

@@ -249,6 +249,9 @@ evaluate --folds 10 --data few.nc --component all -> 3 samples are too few to cr
 identify --data data.nc --port p -o x.safetensors -> give --data or --port, not both
 identify --data data.nc -o x.safetensors --pairs 5 -> --pairs 5 must be at most 4: there are no more
 identify --data data.nc --design square.toml -o x.safetensors -> data.nc is of 1 × 2 units, the design of 3 × 3
+identify --as-designed --data semi.csv --twin t.toml -o x.json -> --as-designed makes no model: leave --twin out
+identify --data data.nc -o x.safetensors --noise 0.1 -> --noise goes with --as-designed alone
+identify --next 101 -> --next 101 must be from 0 to 100
 identify --as-designed --port text.txt -o x.json -> a recording needs --loads with the columns from_s and to_s
 rubber -o r.toml -> give --data of a bench series
 rubber --data semi.csv -> semi.csv: the column time_s is missing

@@ -16,8 +16,9 @@ from geometry.design_file import design_to_toml
 from tests.decoupler.synthetic_sensor import response, sensor, softness
 from tests.decoupler.test_finite_strain import identified
 from tests.house import House
-from tripillar.face import identifying, stages
+from tripillar.face import stages, twins
 from tripillar.face.caller import Caller, called_by
+from tripillar.face.identifying import identify, plan_loads
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -49,7 +50,7 @@ def _derivatives(design, tolerances=None):
 @pytest.fixture
 def house(tmp_path, monkeypatch):
     """A folder with a table of exact pairs and a design whose response is made up."""
-    monkeypatch.setattr(identifying, "with_derivatives", _derivatives)
+    monkeypatch.setattr(twins, "with_derivatives", _derivatives)
     (tmp_path / "loads.csv").write_text(LOADS)
     (tmp_path / "sensor.toml").write_text(design_to_toml(DESIGN))
     for load in read_loads(tmp_path / "loads.csv", DESIGN):
@@ -119,21 +120,22 @@ def test_python_takes_what_the_command_takes(house, monkeypatch):
     text = (house.folder / "sensor.toml").read_text()
     (house.folder / "exact.toml").write_text(f'{text}\n[tolerance]\n"rubber.young_mpa" = 0\n')
     pairs = read_pairs(house.folder / "pairs.csv", DESIGN)
-    twin = identifying.identify(pairs, house.folder / "exact.toml", next_loads=2, have="plate:20kg,string:3kg")
-    assert (twin.parameters, len(twin.next_loads)) == ({}, 2)
-    assert all("20kg on a plate" in each.load or each.load == "nothing" for each in twin.next_loads)
+    twin = identify(pairs, house.folder / "exact.toml")
+    proposed = plan_loads(twin, 2, have="plate:20kg,string:3kg")
+    assert (twin.parameters, len(proposed)) == ({}, 2)
+    assert all("20kg on a plate" in each.load or each.load == "nothing" for each in proposed)
     words = ("identify", "--design", "exact.toml", "-q", "--data", "pairs.csv", *TO_MODEL)
     by_command = house.result(*words, "--next", "2", "--have", "plate:20kg,string:3kg")
-    assert [each["load"] for each in by_command["next"]] == [each.load for each in twin.next_loads]
+    assert [each["load"] for each in by_command["next"]] == [each.load for each in proposed]
     assert by_command["excess"] == twin.posterior.excess
     many, said = simulate(RESPONSE, DatasetSettings(protocol="contact", samples=9)).labels(), []
     other = Samples(force_n=np.ones((5, 1, 1, 3)), resistance_ohm=np.ones((5, 1, 1, 3)))
     with pytest.raises(DesignError, match="finite strain is of 1 × 1 units, the design of 3 × 3"):
-        identifying.identify(many, DESIGN, finite=other)
-    monkeypatch.setattr("dataset.samples.drawn", lambda data: data[:7])
+        identify(many, DESIGN, finite=other)
+    monkeypatch.setattr("tripillar.face.checks.drawn", lambda data, seed: data[:7])
     with called_by(Caller(say=said.append)):
-        assert identifying.identify(many, DESIGN).n_pairs == 7
-    assert "samples: 7 of 9 pairs, drawn at random, identify the sensor" in said
+        assert identify(many, DESIGN).n_pairs == 7
+    assert "samples: 7 of 9 samples, drawn at random, identify the sensor" in said
 
 
 def test_a_twin_at_finite_strain_makes_samples_of_its_rubber(house, monkeypatch):

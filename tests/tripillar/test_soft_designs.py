@@ -16,7 +16,7 @@ from fem.array.closed_forms import layer_response
 from geometry.design import Array, Material, SensorDesign
 from tests.fem.scenes import coarse_cells, coarse_responses
 from tests.house import SMALL, House
-from tripillar.face import identifying
+from tripillar.face import twins
 from tripillar.face.caller import Caller, called_by
 from tripillar.viewer.page.controls import controls_of, sliders_of
 
@@ -83,7 +83,7 @@ def test_loads_to_measure_next_are_those_that_it_bears(house):
     """15 kg on a pad are 30 times what it bears; a load that it bears is named."""
     said = []
     with called_by(Caller(say=said.append)):
-        kept = identifying._bearable(loads_at_hand("pad:15kg,pad:1N", DESIGN), DESIGN)
+        kept = twins._bearable(loads_at_hand("pad:15kg,pad:1N", DESIGN), DESIGN)
     assert [load.name for load in kept] == ["nothing", "1N on 0 0", "1N on 0 1"]
     bears_n, named_n = map(float, re.fullmatch(r".* ([\d.]+) N a pad that this .* pad:([\d.]+)N", said[0]).groups())
     assert 1.0 < bears_n < 5.0 * AREA_MM2 / 100  # rubber 122 times softer than the paper's

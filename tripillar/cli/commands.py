@@ -11,7 +11,7 @@ COMMANDS = {
         "design": "bodies", "cad": "bodies", "solve": "bodies", "response": "bodies", "press": "pressing",
     },
     "From data to a model": {
-        "dataset": "samples", "train": "learning", "evaluate": "learning", "identify": "identifying",
+        "dataset": "samples", "train": "learning", "evaluate": "learning", "identify": "identifying:identify_as_typed",
         "export": "exporting", "rubber": "rubbers",
     },
     "Studies, pictures, help": {

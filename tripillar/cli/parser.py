@@ -6,7 +6,7 @@ A job's signature says what may be typed, what its docstring says of a parameter
 import inspect
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from importlib import metadata
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -17,9 +17,8 @@ from docstring_parser import parse
 
 from common.errors import DesignError
 from tripillar.cli.commands import COMMANDS, job_of
-from tripillar.cli.door import Job, command_of, parameters_of, typed_as
+from tripillar.cli.door import Job, command_of, parameters_of, typed_options
 from tripillar.cli.help import Columns
-from tripillar.face.inputs import options_of
 
 ABOUT = """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
 
@@ -61,14 +60,13 @@ def run_app(app: App, words: Sequence[str]) -> int:
 def parsed(job: Job) -> Callable[..., int]:
     """The command of a job, with the signature and docstring that the parser reads."""
     command, told, parameters = command_of(job), meanings(job), []
-    for given in parameters_of(job):
-        hint, flag = typed_as(given)
-        known = {each.name: getattr(flag, each.name) for each in fields(flag) if each.name != "show_default"}
+    for given, hint, flag in parameters_of(job):
         has_default = not (given.default in (None, (), math.inf) or isinstance(given.default, bool))
-        shown = (lambda _, said=flag.show_default: said) if flag.show_default else has_default
-        own = known | {"name": flag.name or None, "help": flag.help or told.get(given.name), "show_default": shown}
-        own["required"] = own["required"] or None
-        mark = Parameter(**own, converter=whole if hint in WHOLE else None)
+        mark = Parameter(
+            name=flag.name or None, negative=flag.negative, required=flag.required or None, help=told.get(given.name),
+            show_default=has_default, consume_multiple=get_origin(hint) is tuple and ... in get_args(hint),
+            converter=whole if hint in WHOLE else None,
+        )  # fmt: skip
         kind = given.POSITIONAL_ONLY if given.kind is given.POSITIONAL_ONLY else given.KEYWORD_ONLY
         parameters.append(given.replace(kind=kind, annotation=Annotated[hint, mark]))
     docstring = parse(inspect.getdoc(job) or "")
@@ -83,12 +81,11 @@ def parsed(job: Job) -> Callable[..., int]:
 def meanings(job: Job) -> dict[str, str]:
     """Help of each parameter by the docstrings of the job and of whatever has its options."""
     found: dict[str, str] = {}
-    for options in (each for given in inspect.signature(job).parameters.values() for each in options_of(given)):
+    for options in typed_options(job):
         theirs = options.meanings() if is_dataclass(options.source) else meanings(options.source)
         found |= {name: theirs[name] for name in options.names}
     for each in parse(inspect.getdoc(job) or "").params:
-        text = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
-        found |= dict.fromkeys(each.arg_name.split(", "), text)
+        found[each.arg_name] = " ".join((each.description or "").split()).replace("``", "'").replace("`", "'")
     return found
 
 

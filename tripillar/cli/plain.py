@@ -8,7 +8,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from tripillar.cli.door import Job, parameters_of, typed_as
+from tripillar.cli.door import Job, parameters_of
 
 
 def typed_plainly(job: Job, words: Sequence[str]) -> tuple[list[Any], dict[str, Any]] | None:
@@ -23,8 +23,7 @@ def typed_plainly(job: Job, words: Sequence[str]) -> tuple[list[Any], dict[str, 
     places: list[Any] = []
     needed: set[str | int] = set()
     flags: dict[str, tuple[str, Any, bool | None]] = {}
-    for given in parameters_of(job):
-        hint, flag = typed_as(given)
+    for given, hint, flag in parameters_of(job):
         if flag.required or given.default is given.empty:
             needed.add(given.name if flag.name else len(places))
         if not flag.name:

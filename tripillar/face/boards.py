@@ -12,7 +12,7 @@ from common.errors import DesignError, FileFormatError
 from tripillar.face import stages
 from tripillar.face.caller import current
 from tripillar.face.exporting import damage
-from tripillar.face.inputs import BOARD, LINES, WIRES, File, Flag, ModelLike, job, model_of, to_write
+from tripillar.face.inputs import BOARD, LINES, WIRES, File, ModelLike, job, model_of, to_write
 from tripillar.face.streaming import FILES, STREAMS, AskedStreams
 
 LARGE = 2**24  #: bytes of a recording that take a second or a few to read
@@ -52,14 +52,14 @@ def info(
     if seconds is None and (model is not None or link.get("calibration") is not None):
         raise DesignError("model= and calibration= are for measuring the link: add seconds= too, or leave them out.")
     if port is None:
-        found = [
+        ports = [
             {"device": each.device, "description": each.description, "hardware_id": each.hwid}
             for each in sorted(stages.comports())
         ]
-        if not found and not caller.as_json:
+        if not ports and not caller.as_json:
             caller.say("no serial port: plug the board in, or run 'tripillar board'")
-        result: dict[str, Any] = {"ports": found}
-        caller.answer(lambda: result, "\n".join("  ".join(each.values()) for each in found))
+        result: dict[str, Any] = {"ports": ports}
+        caller.answer(lambda: result, "\n".join("  ".join(each.values()) for each in ports))
         return result
     decoupler = None if model is None else model_of(model)
     with stages.connect(port, **link) as (scanner, known):
@@ -67,8 +67,8 @@ def info(
             sensor = None if decoupler is None else stages.LiveSensor(scanner, decoupler, known)
             measured = stages.measure_link(scanner, sensor, seconds)
         else:
-            told, errors = scanner.info, scanner.errors()
-            result = told.plain() | ({} if errors is None else asdict(errors))
+            board, errors = scanner.info, scanner.errors()
+            result = board.plain() | ({} if errors is None else asdict(errors))
             caller.answer(lambda: result, "\n".join(f"{name:11} {value}" for name, value in result.items()))
             return result
     shown = {name: value for name, value in measured.items() if name not in ("latency_ms", "statistics")}
@@ -185,8 +185,8 @@ def record(
             stages.LiveSensor(scanner, decoupler, known)  # refuses a model of another sensor
         hashes = {} if decoupler is None else stages.hashes_of(decoupler)
         advance = _progress if caller.is_typed and not caller.bars.is_quiet else None
-        kept = known if link.get("calibration") else None
-        n, met = stages.record_scans(scanner, path, seconds, kept, hashes, append, advance)
+        calibration = known if link.get("calibration") else None
+        n, met = stages.record_scans(scanner, path, seconds, calibration, hashes, append, advance)
     if advance is not None:
         print("\r\033[K", end="", file=sys.stderr)
     text = ", ".join([f"{n} scans, {met.lost} lost, {met.overruns_said}", *other_counts(met)])
@@ -223,7 +223,7 @@ def replay(
     rubber: File | None = None,
     speed: float | None = None,
     out: File | None = None,
-    crosstalk: Annotated[bool, Flag(negative=("--no-crosstalk",))] = True,
+    crosstalk: bool = True,
     **log: Annotated[Any, LINES],
 ) -> "stages.Forces | None":
     """Turn a recording into forces, or watch it again.
@@ -287,43 +287,43 @@ def replay(
     causal = stages.follows(decoupler, rubber)
     hashes, n = stages.hashes_of(decoupler), len(recorded.counts)
     advance = caller.bars.begin("forces", total=n) if n > SHORT else lambda scans, _: None
-    found = stages.replay(recorded, decoupler, own, crosstalk, causal, lambda scans: advance(scans, ""))
+    forces = stages.replay(recorded, decoupler, own, crosstalk, causal, lambda scans: advance(scans, ""))
     caller.say(damage(source, recorded))
     if len({hashes.get("design_hash"), recorded.made_from.get("design_hash")} - {None, ""}) == 2:
         caller.say("warning: recorded for a model of another design: its forces are those of the design of model=")
     if out is not None:
         text = recorded.calibration if own is None else own.to_json()
-        stages.write_forces(replace(recorded, calibration=text, made_from=hashes), found, Path(out))
-    frames, saturated = len(found.force_n), int(found.saturated.any(axis=(1, 2, 3)).sum())
-    partial, unreliable = int(found.left_out.any(axis=(1, 2, 3)).sum()), int(found.unreliable.sum())
-    unexplained, lost, component = int(found.unexplained.sum()), recorded.statistics.lost, decoupler.component
+        stages.write_forces(replace(recorded, calibration=text, made_from=hashes), forces, Path(out))
+    frames, saturated = len(forces.force_n), int(forces.saturated.any(axis=(1, 2, 3)).sum())
+    partial, unreliable = int(forces.left_out.any(axis=(1, 2, 3)).sum()), int(forces.unreliable.sum())
+    unexplained, lost, component = int(forces.unexplained.sum()), recorded.statistics.lost, decoupler.component
     result: dict[str, Any] = {"frames": frames, "saturated_frames": saturated, "unexplained_frames": unexplained}
-    result |= {"left_out": found.named_out(), "partial_frames": partial, "unreliable_frames": unreliable}
-    result |= {"faults": found.faults, "statistics": asdict(recorded.statistics), "axes": component.axes}
+    result |= {"left_out": forces.named_out(), "partial_frames": partial, "unreliable_frames": unreliable}
+    result |= {"faults": forces.faults, "statistics": asdict(recorded.statistics), "axes": component.axes}
     lines = [f"{frames} frames, {lost} lost, {saturated} with a saturated pillar"]
     if partial:
         lines.append(
-            f"{partial} without pillars that no strain explains, {unreliable} of them not reliable: {found.said_out()}"
+            f"{partial} without pillars that no strain explains, {unreliable} of them not reliable: {forces.said_out()}"
         )
-    for name, newtons in zip(component.forces, found.force_n.transpose(3, 0, 1, 2), strict=True):
+    for name, newtons in zip(component.forces, forces.force_n.transpose(3, 0, 1, 2), strict=True):
         lines.append(f"{name}: {newtons.min():.1f} to {newtons.max():.1f} N, mean {newtons.mean():.1f} N")
     if unexplained:
         lines.append(
             f"{unexplained} that no load explains which the model knows: dead wire, other sensor, bare rubber?"
         )
-    if found.memory_rise is not None:
-        lines.append(stages.memory_line(found))
-        result["memory_untested_frames"] = int((~found.memory_tested).sum())
-    lines += [f"{fault}, in {windows} windows of scans" for fault, windows in found.faults.items()]
+    if forces.memory_rise is not None:
+        lines.append(stages.memory_line(forces))
+        result["memory_untested_frames"] = int((~forces.memory_tested).sum())
+    lines += [f"{fault}, in {windows} windows of scans" for fault, windows in forces.faults.items()]
 
-    def told() -> dict[str, Any]:
+    def as_json() -> dict[str, Any]:
         if out is not None:
             return result
-        chi2 = None if found.chi2 is None else found.chi2.tolist()
-        return result | {"time_s": recorded.time_s.tolist(), "force_n": found.force_n.tolist(), "chi2": chi2}
+        chi2 = None if forces.chi2 is None else forces.chi2.tolist()
+        return result | {"time_s": recorded.time_s.tolist(), "force_n": forces.force_n.tolist(), "chi2": chi2}
 
-    caller.answer(told, "\n".join(lines), out)
-    return found
+    caller.answer(as_json, "\n".join(lines), out)
+    return forces
 
 
 @job(out=None)

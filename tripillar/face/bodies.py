@@ -75,12 +75,12 @@ def design(
         else:
             sensor = stages.surrounded(sensor, name)
     about = about if sensor == ready else []  # what is known of another design is not known of it
-    told = "\n".join([*about, *[""][: len(about)], design_to_toml(sensor)])
+    toml = "\n".join([*about, *[""][: len(about)], design_to_toml(sensor)])
     if out is not None:
-        write_text(told, Path(out))
+        write_text(toml, Path(out))
     current().say(told_by_tilt(sensor.unit))
     wires = [] if layout in (None, "song2018") else [explained(sensor.unit.layout)]
-    text = told.removesuffix("\n") if out is None else "\n".join([line[2:] for line in about] or wires)
+    text = toml.removesuffix("\n") if out is None else "\n".join([line[2:] for line in about] or wires)
     current().answer(lambda: asdict(sensor), text, out)
     return sensor
 

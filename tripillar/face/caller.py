@@ -1,7 +1,8 @@
 """The caller of a job: Python, whose warnings take the notes, or the command line, which prints the answer."""
 
+import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 #: a text, or a function that makes tables
 Shown = str | Callable[[], "Iterable[Table]"]
+#: the result for JSON, the same for people, the files written, and the exit code
+Answer = tuple[Callable[[], dict[str, Any]], Shown, Sequence[Path], int]
 
 
 def warn(note: str) -> None:
@@ -25,20 +28,24 @@ def warn(note: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Caller:
-    """Takes notes and progress of a job, and its answer; Python, which gets the result itself, needs none."""
+    """Takes notes and progress of a job, and its answers; Python, which gets the result itself, needs none."""
 
     say: Callable[[str], None] = warn  #: takes a note, which may be empty
     bars: Bars = field(default_factory=lambda: Bars(quiet=True))  #: show progress
     as_json: bool = False  #: whether people or programs read the answer
     is_typed: bool = False  #: whether the job is a command that somebody typed
+    answers: list[Answer] = field(default_factory=list)
 
     def answer(
         self, result: Callable[[], dict[str, Any]], text: Shown, *files: Path | str | None, code: int = 0
     ) -> None:
-        """Take the result for JSON, the same for people, the files written, and the exit code: Python needs none."""
+        """Take an answer, see `Answer`."""
+        self.answers.append((result, text, [Path(path) for path in files if path is not None], code))
 
     def tell(self, *lines: str) -> None:
-        """Take lines on how the job is done, at once."""
+        """Print lines on how a command is done at once, where they are in nobody's way."""
+        if self.is_typed:
+            print(*lines, sep="\n", file=sys.stderr if self.as_json else sys.stdout)
 
 
 _current: ContextVar[Caller | None] = ContextVar("caller", default=None)

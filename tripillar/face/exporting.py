@@ -120,13 +120,13 @@ def _write_header(design: SensorDesign, path: Path) -> Path:
 
 def damage(path: Path, recorded: "stages.Recording") -> str:
     """One line on what of a file is damaged and left out; empty if nothing is."""
-    found = [f"byte {at}" for at in recorded.damaged_at[:MAX_NAMED]]
+    places = [f"byte {at}" for at in recorded.damaged_at[:MAX_NAMED]]
     if (more := len(recorded.damaged_at) - MAX_NAMED) > 0:
-        found.append(f"{more} more places")
+        places.append(f"{more} more places")
     ends = "its last frame is cut off" if recorded.truncated_bytes else ""
-    if recorded.received_s is None and not found and (lines := recorded.statistics.bad_form):
+    if recorded.received_s is None and not places and (lines := recorded.statistics.bad_form):
         ends = f"{lines} lines that are no matrix of numbers from 0 on are left out"
-    said = "; ".join(part for part in (f"damaged at {', '.join(found)}, left out" if found else "", ends) if part)
+    said = "; ".join(part for part in (f"damaged at {', '.join(places)}, left out" if places else "", ends) if part)
     return f"warning: {path}: {said}" if said else ""
 
 
@@ -171,13 +171,11 @@ def write(thing: "Written", path: Path | str) -> None:
             raise ArgumentError(f"{path} is the name of the twin's decoder: give the twin one that ends in .toml.")
         stages.write_model(thing.decoder, decoder)
         stages.write_twin(thing, path, decoder)
-    elif isinstance(thing, stages.TouchDecoder):
+    elif isinstance(thing, stages.Decoupler) and path.suffix in (".onnx", ".h"):
+        stages.export_model(thing, path)
+    elif isinstance(thing, stages.Decoder):
         stages.write_model(thing, path)
-    elif not isinstance(thing, stages.Decoupler):
+    else:
         raise ArgumentError(
             f"a {type(thing).__name__} cannot be written: give a design, a response, samples, a model or a twin."
         )
-    elif path.suffix in (".onnx", ".h"):
-        stages.export_model(thing, path)
-    else:
-        stages.write_model(thing, path)

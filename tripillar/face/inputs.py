@@ -45,22 +45,18 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, kw_only=True)
 class Flag:
-    """Mark of a job's parameter that is typed otherwise than its name and type say."""
+    """Mark of a job's parameter that is typed otherwise than its name and type say; one of type None is not typed."""
 
     name: tuple[str, ...] = ()  #: how it is typed; default: by its name
-    negative: tuple[str, ...] = ()  #: how the opposite of a bool is typed
-    help: str = ""  #: default: what the docstring says
+    negative: tuple[str, ...] = ()  #: how the opposite of a bool is typed; default: --no-NAME of what is else true
     required: bool = False  #: on the command line, where a default would be written to a file unasked
-    parse: bool = True  #: False of what Python alone takes
-    consume_multiple: bool = False  #: whether several values may follow
-    show_default: str = ""  #: what the help has in the place of the default
 
 
 class Options:
     """Mark of a job's ``**options``: they are those of a dataclass or of another job, and flags of the command line.
 
     `names` are those meant, all if there are none; `shown` has the types of those that are typed otherwise than Python
-    takes them.
+    takes them, None of those that are not typed.
     """
 
     def __init__(self, source: Callable[..., Any], *names: str, **shown: Any) -> None:
@@ -71,6 +67,12 @@ class Options:
         """Help of each field of the dataclass, where no docstring of a job says it."""
         told = {each.name: each.metadata.get("meaning", "") for each in fields(self.source)}  # type: ignore[arg-type]
         return {name: f"{text[:1].upper()}{text[1:]}." for name, text in told.items()}
+
+    def parameters(self) -> list[inspect.Parameter]:
+        """The options as keywords, with the types that are typed."""
+        theirs = inspect.signature(self.source).parameters
+        hints = {name: self.shown.get(name, theirs[name].annotation) for name in self.names}
+        return [theirs[name].replace(kind=theirs[name].KEYWORD_ONLY, annotation=hints[name]) for name in self.names]
 
     def of(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Those of them that are given."""
@@ -136,11 +138,8 @@ def job(**writes: str | None) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def made(function: Callable[P, R]) -> Callable[P, R]:
         parameters = inspect.signature(function).parameters
         rest = next((name for name, each in parameters.items() if each.kind is each.VAR_KEYWORD), "")
-        known = {
-            name: inspect.signature(options.source).parameters[name]
-            for options in (options_of(parameters[rest]) if rest else ())
-            for name in options.names
-        }
+        options = options_of(parameters[rest]) if rest else []
+        known = {each.name: each for source in options for each in source.parameters()}
         takes = {**parameters, **known}
         read = [name for name, each in takes.items() if _takes_path(each.annotation) and name not in writes]
 

@@ -2,16 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
 from common.errors import DesignError
-from decoupler.model.settings import Feature, Net, Trainer
-from geometry.design import SensorDesign
-from geometry.design import Unit as PillarUnit
+from decoupler.model.settings import NetworkConfig, TrainingConfig
+from geometry.design import SensorDesign, Unit
 from geometry.layout import FloatArray, require_told, told_by_tilt, untold
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -28,7 +26,7 @@ from tripillar.face.inputs import (
     name_of,
     samples_of,
 )  # fmt: skip
-from tripillar.face.pressing import Turn, Unit, read_tool
+from tripillar.face.pressing import TOOL, read_tool
 
 if TYPE_CHECKING:
     SeveralSamples = SamplesLike | Sequence[SamplesLike]
@@ -37,10 +35,17 @@ if TYPE_CHECKING:
 else:
     SeveralSamples = list[Path]
     Predictions = Path | None
-    Response = Annotated[None, Flag(parse=False)]  # for Python alone
+    Response = None  # for Python alone
 
 Component = Literal["fz", "fx", "fy", "all"]
 AT_REST = 0.005  #: of the largest force, below which a sample counts as of no load
+NETWORK = Options(NetworkConfig)
+TRAINING = Options(
+    TrainingConfig,
+    goal_mse=Annotated[float | None, Flag(name=("--goal",))],
+    max_iterations=Annotated[int, Flag(name=("--iterations",))],
+    **dict.fromkeys(("patience", "least_gain", "held_out", "learning_rate", "momentum")),  # for Python alone
+)
 READ: dict[str, Any] = {"noise": 0.001, "bits": 12}  #: how a sensor is felt with, where data say nothing else
 
 
@@ -66,21 +71,11 @@ def train(
     *,
     touch: bool = False,
     shape: list[File] | None = None,
-    turn_deg: Turn = None,
-    unit: Unit | None = None,
-    scale: float | None = None,
     out: Annotated[File | None, Flag(required=True)] = None,
-    net: Net = "skip",
-    hidden: int = 17,
-    trainer: Trainer = "varpro",
-    feature: Feature = "auto",
-    goal_mse: Annotated[float | None, Flag(name=("--goal",))] = None,
-    max_iterations: Annotated[int, Flag(name=("--iterations",))] = 0,
-    seed: int = 0,
     design: DesignLike | None = None,
     response: Response = None,
     force: bool = False,
-    **settings: Any,
+    **settings: Annotated[Any, TOOL, NETWORK, TRAINING],
 ) -> "stages.Decoupler | stages.TouchDecoder":
     """Train a network that turns resistances into forces; or make a decoder of whatever presses.
 
@@ -96,29 +91,8 @@ def train(
         seconds.
     shape : list of path, optional
         Files of tools that press, too, as of 'press'.
-    turn_deg : float or str, optional
-        Angle of the tools about z, or X,Y,Z about x, y and z [degrees].
-    unit : str, optional
-        Unit of their files' numbers.
-    scale : float, optional
-        How many times as large as in their files they are.
     out : path, optional
         Model file to write (.safetensors).
-    net : str
-        Network: plain, as in the paper; with a linear skip past the hidden layer; or a convolution over units, for data
-        without a known response.
-    hidden : int
-        Number of hidden nodes.
-    trainer : str
-        Method: variable projection, Levenberg-Marquardt, or the paper's momentum.
-    feature : str
-        Inputs of the network: inverse (of the known response), root (√R) or resistance; auto chooses.
-    goal_mse : float, optional
-        Mean squared error to stop at, of forces scaled to ± 1; default: the trainer's own.
-    max_iterations : int
-        Largest number of iterations; 0: the trainer's own.
-    seed : int
-        Seed of the random start.
     design : SensorDesign or path, optional
         Design file (TOML) for data that state none; default: the paper's sensor, if its array has their size.
     response : ArrayResponse, optional
@@ -126,7 +100,8 @@ def train(
     force : bool
         Go on although the data look wrong; a model remembers why they did.
     **settings
-        Further fields of `decoupler.TrainingConfig`, such as patience or held_out.
+        Fields of `decoupler.NetworkConfig`: hidden, net and feature; of `decoupler.TrainingConfig`: trainer, goal_mse,
+        max_iterations, seed, patience, held_out and more; of the tools turn_deg, unit and scale, as of `press`.
 
     Returns
     -------
@@ -155,24 +130,22 @@ def train(
     >>> bool(0.6 < (off_n < half_width_n).mean() < 0.76)
     True
     """
-    caller, path = current(), None if out is None else Path(out)
-    if not (shape or turn_deg is unit is scale is None):
+    caller, path, tool = current(), None if out is None else Path(out), TOOL.of(settings)
+    if tool and not shape:
         raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
         if data is not None or component is not None or response is not None:
             raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
-        return _touch_decoder(design, path, shape or (), turn_deg, unit, scale)
+        return _touch_decoder(design, path, shape or (), tool)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
     if data is None:
         raise DesignError("give data=, samples to train on; or touch=True.")
-    training = stages.TrainingConfig(
-        trainer=trainer, goal_mse=goal_mse, max_iterations=max_iterations, seed=seed, **settings
-    )
+    network, training = NetworkConfig(**NETWORK.of(settings)), TrainingConfig(**TRAINING.of(settings))
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
     samples, name = _together(sources), name_of(sources[0], "samples")
-    few = stages.enough(samples, seed, name, "train the network")
-    parts, network, solved, forced = _checked(few, name, component, net, hidden, feature, design, response, force)
+    few = stages.enough(samples, training.seed, name, "train the network")
+    parts, network, solved, forced = _checked(few, name, network, response, component, design, force)
     if solved is None and samples.design is None and design is None:
         caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
@@ -195,7 +168,7 @@ def train(
     return model
 
 
-TRAINING = Options(train, "component", "net", "hidden", "trainer", "feature", "goal_mse", "seed", "design", "force")
+OF_DATA = Options(train, "component", "design", "force")
 
 
 @job()
@@ -203,11 +176,11 @@ def evaluate(
     model: ModelLike | None = None,
     data: Annotated[SamplesLike | None, Flag(required=True)] = None,
     *,
-    limits: Annotated[bool, Flag(negative=("--no-limits",))] = True,
+    limits: bool = True,
     folds: int | None = None,
     predictions: Predictions = None,
     response: Response = None,
-    **training: Annotated[Any, TRAINING],
+    **training: Annotated[Any, OF_DATA, NETWORK, TRAINING],
 ) -> "dict[str, stages.Assessment]":
     """Show the errors of a model, or of another's predictions, beside what the readings allow; or cross-validate.
 
@@ -230,7 +203,7 @@ def evaluate(
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     **training
-        With folds: component, net, hidden, trainer, feature, goal_mse, seed, design, force and more, as of `train`.
+        With folds: component, design, force, hidden, net, trainer, seed and more, as of `train`.
 
     Returns
     -------
@@ -268,9 +241,7 @@ def evaluate(
     if sum(each is None for each in (model, folds, predictions)) != 2:
         raise DesignError("give model=, predictions=, or folds= to cross-validate: one of them.")
     if folds is not None:
-        asked = signature(train).bind(data, response=response, **training)
-        asked.apply_defaults()
-        return _cross_validated(samples_of(data), name, folds, asked.arguments)
+        return _cross_validated(samples_of(data), name, folds, response, training)
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
@@ -308,15 +279,13 @@ def _predicted(source: "FloatArray | File") -> "FloatArray":
 
 
 def _cross_validated(
-    samples: "stages.AnySamples", name: str, folds: int, asked: dict[str, Any]
+    samples: "stages.AnySamples", name: str, folds: int, response: "stages.ArrayResponse | None", asked: dict[str, Any]
 ) -> "dict[str, stages.Assessment]":
     """Errors of networks trained, as `train` is asked, on all folds but the one that tests them."""
-    of_training = ("trainer", "goal_mse", "max_iterations", "seed")
-    training = stages.TrainingConfig(**{key: asked[key] for key in of_training}, **asked["settings"])
+    network, training = NetworkConfig(**NETWORK.of(asked)), TrainingConfig(**TRAINING.of(asked))
     stages.split_folds(min(len(samples), stages.ENOUGH), folds, training.seed)  # refuses too many before anything
     few = stages.enough(samples, training.seed, name, "are split")
-    of_network = ("component", "net", "hidden", "feature", "design", "response", "force")
-    parts, network, solved, _ = _checked(few, name, *(asked[key] for key in of_network))
+    parts, network, solved, _ = _checked(few, name, network, response, **OF_DATA.of(asked))
     advance = current().bars.begin(f"{folds} folds", total=folds)
     tested = stages.cross_validate(few, parts, network, training, folds, solved, lambda _: advance(1, ""))
     result = {"feature": network.feature} | stages.summary(tested)
@@ -326,7 +295,7 @@ def _cross_validated(
 
 
 def _touch_decoder(
-    source: DesignLike | None, out: Path | None, shapes: Sequence[File], *tool: Any
+    source: DesignLike | None, out: Path | None, shapes: Sequence[File], tool: dict[str, Any]
 ) -> "stages.TouchDecoder":
     """A decoder of touches, of a design or of a twin's own sensor; its library comes from the cache or is made."""
     caller, design = current(), design_of(source)
@@ -342,7 +311,7 @@ def _touch_decoder(
         raise DesignError(
             "shape= is of bare rubber: under stiff pads the decoder takes whatever presses; leave it out."
         )
-    solids = [read_tool(shape, *tool) for shape in shapes]
+    solids = [read_tool(shape, **tool) for shape in shapes]
     for note in (note for solid in solids for note in solid.notes):
         caller.say(f"warning: {note}")
     twin = stages.read_twin(Path(source)) if isinstance(source, Path | str) else None
@@ -378,9 +347,9 @@ def _assessed_touch(decoder: "stages.TouchDecoder", data: "SamplesLike") -> "dic
     """Errors of a touch decoder: of units, of the net force and of its place."""
     samples = stages.in_memory(samples_of(data, labels_only=False))
     advance = current().bars.begin("touches", total=len(samples))
-    found = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
-    current().answer(found.plain, lambda: stages.assessed_touch_tables(found))
-    return found.by_force
+    assessed = stages.assess_touch(decoder, samples, lambda done: advance(done, ""))
+    current().answer(assessed.plain, lambda: stages.assessed_touch_tables(assessed))
+    return assessed.by_force
 
 
 def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
@@ -408,35 +377,34 @@ def _mention_untrusted(model: "stages.Decoupler") -> None:
 
 
 def _checked(
-    samples: "stages.Samples", name: str, component: Component | None, net: Net, hidden: int, feature: Feature,
-    stated: "DesignLike | None", response: "stages.ArrayResponse | None", force: bool,
-) -> "tuple[str, stages.NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
+    samples: "stages.Samples", name: str, asked: NetworkConfig, response: "stages.ArrayResponse | None",
+    component: Component | None = None, design: "DesignLike | None" = None, force: bool = False,
+) -> "tuple[str, NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
-    design = None if stated is None else design_of(stated)
-    network = stages.NetworkConfig(hidden=hidden, net=net, feature=feature)
-    named, is_automatic = component or stages.acting_component(samples.force_n), feature == "auto"
-    if component is None and named == "all" and untold(PillarUnit(layout=samples.layout)):
+    stated = None if design is None else design_of(design)
+    named, is_automatic = component or stages.acting_component(samples.force_n), asked.feature == "auto"
+    if component is None and named == "all" and untold(Unit(layout=samples.layout)):
         named = "fz"
     parts = stages.component_named(named)
-    sensor = samples.design or design
+    sensor = samples.design or stated
     is_stated = sensor is not None or response is not None
     if not is_stated and stages.fits(SensorDesign(), samples):
         sensor = SensorDesign()
-    require_told(PillarUnit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
+    require_told(Unit(layout=samples.layout) if sensor is None else sensor.unit, parts.axes)
     if sensor is not None:
         current().say(told_by_tilt(sensor.unit, parts.axes))
     forced = stages.heed(stages.nothing_to_learn(samples, parts), name, force)
     note, solved = "", None
-    if feature == "inverse" or (is_automatic and net != "plain"):
+    if asked.feature == "inverse" or (is_automatic and asked.net != "plain"):
         solved = stages.response_of(samples, name, sensor, response)
     is_finite = samples.is_finite.any()
-    stages.require_heeded(samples, name, design, named == "all" and solved is not None, (hidden, net, feature))
-    network = stages.suited(samples, named, network, None, solved).form
+    stages.require_heeded(samples, name, stated, named == "all" and solved is not None, asked)
+    network = stages.suited(samples, named, asked, None, solved).form
     chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not is_finite:
         note = "the response of the design does not explain these data: inputs are √R"
     if is_automatic and chosen == "inverse" and samples.design is None and response is None:
-        which = "the paper's sensor" if design is None else "the given design"
+        which = "the paper's sensor" if stated is None else "the given design"
         note = f"the data state no design, but the response of {which} explains them and is used"
     # a guessed design that does not explain the samples cannot judge them
     judging = solved if solved is not None and (is_stated or chosen == "inverse") else None

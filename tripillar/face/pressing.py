@@ -1,15 +1,17 @@
 """Press a shape into the array's top."""
 
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
 from common.errors import DesignError
+from common.quantity import quantity
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, design_of, job
+from tripillar.face.inputs import DesignLike, File, Options, design_of, job
 
 if TYPE_CHECKING:
     Indenter = stages.Shape | File
@@ -24,8 +26,29 @@ USUAL_DEPTH = 0.05  #: of the slab's height
 #: at a fifth to a third of the height, from `python -m studies peers finite`
 PUSHES_LESS = "neo-Hookean rubber pushes back 2 to 17 % less there under balls, 8 to 16 % under flat punches"
 STRAIN_CAP = 0.3  #: beyond, linear strain is far off
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """Sizes and place of an indenter about its middle; of a file's what its numbers mean."""
+
+    radius_mm: float | None = quantity(None, "radius of a sphere, a lying cylinder or a round flat punch [mm]")
+    size_mm: Pair | None = quantity(None, "sides SIDE or SIDE,SIDE of a flat punch along x and y [mm]")
+    length_mm: float | None = quantity(None, "length of a cylinder [mm]; default: endless")
+    turn_deg: Turn = quantity(
+        None,
+        "angle of a cylinder, flat punch or tool about z, from x towards y; or X,Y,Z of a tool about x, y, z [degrees]",
+    )
+    unit: Unit | None = quantity(
+        None, "unit of a file's numbers; default: mm, if that makes a tool of a usual size; STEP states its own"
+    )
+    scale: float | None = quantity(None, "how many times as large as in its file a tool is")
+
+
+SIZES = Options(Sizes)
+TOOL = Options(Sizes, "turn_deg", "unit", "scale")  #: of an indenter of a file
 #: sizes of each shape, that which it needs first
-SIZES = {
+SIZES_OF = {
     "sphere": ("radius_mm",),
     "cylinder": ("radius_mm", "length_mm", "turn_deg"),
     "flat": ("size_mm", "radius_mm", "turn_deg"),
@@ -38,18 +61,13 @@ def press(
     *,
     shape: Indenter,
     depth_mm: float | None = None,
-    radius_mm: float | None = None,
-    size_mm: Pair | None = None,
-    length_mm: float | None = None,
-    turn_deg: Turn = None,
-    unit: Unit | None = None,
-    scale: float | None = None,
     at_mm: Pair = "0,0",
     slide_mm: Pair = "0,0",
     friction: float = 0.0,
     out: File | None = None,
     picture: File | None = None,
     force: bool = False,
+    **sizes: Annotated[Any, SIZES],
 ) -> "stages.Contact":
     """Press a rigid shape into the sensor, and drag it along: contact with friction.
 
@@ -64,18 +82,6 @@ def press(
         Indenter: sphere, cylinder, flat, or a file of a closed surface: STL, OBJ, PLY or STEP.
     depth_mm : float, optional
         Depth of its lowest point below the top at rest [mm]; default: a twentieth of the slab's height.
-    radius_mm : float, optional
-        Radius of a sphere, a lying cylinder or a round flat punch [mm].
-    size_mm : str, optional
-        Sides SIDE or SIDE,SIDE of a flat punch along x and y [mm].
-    length_mm : float, optional
-        Length of a cylinder [mm]; default: endless.
-    turn_deg : float or str, optional
-        Angle of a cylinder, flat punch or tool about z, from x towards y; or X,Y,Z of a tool about x, y, z [degrees].
-    unit : str, optional
-        Unit of a file's numbers; default: mm, if that makes a tool of a usual size; STEP states its own.
-    scale : float, optional
-        How many times as large as in its file a tool is.
     at_mm : str or tuple of float
         Place X,Y of its middle [mm]; the array's is 0,0.
     slide_mm : str or tuple of float
@@ -88,6 +94,8 @@ def press(
         PNG file of the contact.
     force : bool
         Give a contact, too, whose estimated error is above 20 %.
+    **sizes
+        Fields of `pressing.Sizes`: radius_mm, size_mm, length_mm, turn_deg, unit and scale.
 
     Returns
     -------
@@ -105,9 +113,7 @@ def press(
     """
     caller, sensor = current(), design_of(design)
     depth_mm = USUAL_DEPTH * sensor.unit.height_mm if depth_mm is None else depth_mm
-    sizes: dict[str, Any] = {"radius_mm": radius_mm, "size_mm": size_mm, "length_mm": length_mm}
-    sizes |= {"turn_deg": turn_deg, "unit": unit, "scale": scale}
-    indenter = _shape(shape, {name: given for name, given in sizes.items() if given is not None})
+    indenter = _shape(shape, SIZES.of(sizes))
     begin = cache(lambda: caller.bars.begin("compliance of the top", total=1))  # no bar where it is in the cache
     contact = stages.press(
         sensor, indenter, depth_mm, at_mm=_numbers("at_mm", at_mm), slide_mm=_numbers("slide_mm", slide_mm),
@@ -154,11 +160,11 @@ def press(
 def _as_plain(contact: "stages.Contact", strain: float) -> dict[str, Any]:
     arrays = ("net_force_n", "moment_nmm", "centre_mm", "force_n")
     names = ("area_mm2", "peak_mpa", "error_estimate", "electrode_error_estimate", "sticking", "steepness")
-    found = {name: getattr(contact, name).tolist() for name in arrays} | {
+    plain = {name: getattr(contact, name).tolist() for name in arrays} | {
         name: getattr(contact, name) for name in names
     }
     ohms = stages.samples_of_contacts([contact]).resistance_ohm[0]
-    return found | {"largest_strain": strain, "resistance_ohm": ohms.tolist()}
+    return plain | {"largest_strain": strain, "resistance_ohm": ohms.tolist()}
 
 
 def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
@@ -167,11 +173,11 @@ def _shape(shape: "Indenter", given: dict[str, Any]) -> "stages.Shape":
         return shape
     kind = str(shape)
     is_file = kind.lower().endswith(stages.TOOL_FILES)
-    if not is_file and kind not in SIZES:
+    if not is_file and kind not in SIZES_OF:
         raise DesignError(
             f"shape={kind}: must be sphere, cylinder, flat, or a file that ends in {', '.join(stages.TOOL_FILES)}."
         )
-    takes = ("turn_deg", "unit", "scale") if is_file else SIZES[kind]
+    takes = TOOL.names if is_file else SIZES_OF[kind]
     if surplus := [size for size in given if size not in takes]:
         listed = " and ".join(f"{size}=" for size in takes) or "no sizes"
         raise DesignError(f"{surplus[0]}= is not of shape={kind}, which takes {listed}.")
@@ -199,9 +205,9 @@ def _numbers(name: str, given: Any, like: str = "two numbers, such as 7.5,-3", a
     if not isinstance(given, str | int | float):
         return given
     try:
-        found = tuple(map(float, (alone.format(given) if alone and "," not in str(given) else str(given)).split(",")))
+        numbers = tuple(map(float, (alone.format(given) if alone and "," not in str(given) else str(given)).split(",")))
     except ValueError:
-        found = ()
-    if len(found) != like.count(","):
+        numbers = ()
+    if len(numbers) != like.count(","):
         raise DesignError(f"{name}={given}: must be {like}.")
-    return found
+    return numbers

@@ -97,19 +97,19 @@ def rubber(
             stages.draw_rubber(known, series, Path(picture))
         caller.answer(lambda: asdict(judged), _missed(asdict(judged)), picture)
         return judged
-    found = stages.rubber_of(series, wires, section_mm2, electrodes_mm, length_mm)
-    judged = stages.check_rubber(found, series)
-    if not force and (said := stages.doubted(found, series, judged, out is not None)):
+    fitted = stages.rubber_of(series, wires, section_mm2, electrodes_mm, length_mm)
+    judged = stages.check_rubber(fitted, series)
+    if not force and (said := stages.doubted(fitted, series, judged, out is not None)):
         raise FileFormatError(f"{data}: {said}; if it is right, add force=True.")
     if out is not None:
-        stages.write_rubber(found, Path(out))
+        stages.write_rubber(fitted, Path(out))
     if next_test is not None:
-        stages.write_test(Path(next_test), found)
+        stages.write_test(Path(next_test), fitted)
     if picture is not None:
-        stages.draw_rubber(found, series, Path(picture))
-    result = _as_plain(found, series, judged)
+        stages.draw_rubber(fitted, series, Path(picture))
+    result = _as_plain(fitted, series, judged)
     caller.answer(lambda: result, _said(result), out, next_test, picture)
-    return found
+    return fitted
 
 
 def _named(columns: str) -> dict[str, str]:
@@ -120,20 +120,20 @@ def _named(columns: str) -> dict[str, str]:
     return {name.strip(): own.strip() for name, _, own in pairs}
 
 
-def _as_plain(found: "stages.Rubber", series: "stages.Series", judged: "stages.RubberCheck") -> dict[str, Any]:
-    known = found.parameters if found.rest_ohm is not None else {}
+def _as_plain(fitted: "stages.Rubber", series: "stages.Series", judged: "stages.RubberCheck") -> dict[str, Any]:
+    known = fitted.parameters if fitted.rest_ohm is not None else {}
     return {
         "parameters": {name: list(pair) for name, pair in known.items()},
-        "elastic": asdict(found.elastic),
-        "young_mpa": found.young_mpa,
-        "resistivity_ohm_mm": found.resistivity_ohm_mm,
-        "rest_ohm": found.rest_ohm,
-        "contact_ohm": found.contact_ohm,
-        "contact_spread": found.contact_spread,
-        "noise": found.noise,
-        "correlation_s": found.correlation_s,
+        "elastic": asdict(fitted.elastic),
+        "young_mpa": fitted.young_mpa,
+        "resistivity_ohm_mm": fitted.resistivity_ohm_mm,
+        "rest_ohm": fitted.rest_ohm,
+        "contact_ohm": fitted.contact_ohm,
+        "contact_spread": fitted.contact_spread,
+        "noise": fitted.noise,
+        "correlation_s": fitted.correlation_s,
         **asdict(judged),
-        "unknown": [{"what": what, "test": test} for what, test in found.unknown],
+        "unknown": [{"what": what, "test": test} for what, test in fitted.unknown],
         "notes": list(series.notes),
     }
 

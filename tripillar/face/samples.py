@@ -1,6 +1,6 @@
 """Make labelled samples: of pads or of contacts, by linear or by finite strain, in one file or in a zarr directory."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -9,6 +9,7 @@ import numpy as np
 from common.errors import DesignError, require_type
 from common.storage.files import write_text
 from dataset.imperfections import Imperfections
+from dataset.settings import DatasetSettings
 from geometry.design import SensorDesign, with_model
 from tripillar.face import stages
 from tripillar.face.caller import current
@@ -28,18 +29,18 @@ from tripillar.face.inputs import (
 
 if TYPE_CHECKING:
     SensorLike = DesignLike | stages.ArrayResponse | stages.TwinFile
-    Pair = tuple[float, float] | None
 else:
     SensorLike = Path
-    Pair = tuple[float, float]
 
 Kind = Literal[Protocol, "table", "indent"]
 RANGES = ("pressure_mpa", "shear_mpa")  #: of loads
 OF_TESTS = 10**6  #: added to the seed of samples for tests
 MAX_REDRAWN = 0.2  #: of all draws, beyond which what is left is said to be another distribution
 NEEDED = Flag(required=True)  # on the command line, where a default would be written to a file unasked
-SPECIMEN = Options(
-    Imperfections,
+SETTINGS = Options(
+    DatasetSettings,
+    *("seed", "cap", *RANGES, "history_s", "rate_hz", *(field.name for field in fields(Imperfections))),
+    **dict.fromkeys(RANGES, tuple[float, float]),
     offset_ohm=Annotated[float, Flag(name=("--offset",))],
     drift_offset_ohm=Annotated[float, Flag(name=("--drift-offset",))],
     **BROKEN,
@@ -53,23 +54,17 @@ def dataset(
     samples: Annotated[int, NEEDED] = 1000,
     *,
     out: Annotated[File | None, NEEDED] = None,
-    seed: int = 0,
-    cap: float = 0.3,
-    pressure_mpa: Pair = None,
-    shear_mpa: Pair = None,
     loads: File | None = None,
-    history: float | None = None,
-    rate: float | None = None,
     crossbar: Circuit | None = None,
     sense_ohm: float | None = None,
-    correct: Annotated[bool, Flag(negative=("--no-correct",))] = True,
+    correct: bool = True,
     strain: Literal["linear", "finite"] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     only: str | None = None,
     dtype: Literal["float64", "float32"] = "float64",
     test_share: float | None = None,
-    **more: Annotated[Any, SPECIMEN, WIRES],
+    **more: Annotated[Any, SETTINGS, WIRES],
 ) -> "stages.Samples | stages.StoredSamples":
     """Simulate labelled samples: forces on the pads, and the resistances they give.
 
@@ -84,21 +79,8 @@ def dataset(
         Number of samples to make.
     out : path, optional
         NetCDF file to write, or zarr directory (.zarr).
-    seed : int
-        Seed of the random loads and noise.
-    cap : float
-        Largest strain of a pillar; loads past it are drawn again.
-    pressure_mpa : tuple of float, optional
-        Least and largest pressure on a pad [MPa]; default: 1 5, the paper's, or what the design bears.
-    shear_mpa : tuple of float, optional
-        Least and largest shear [MPa], 0 and the largest within a friction cone; default: a fifth of the pressure.
     loads : path, optional
         Table of known loads (CSV), as of 'identify', for the protocol table.
-    history : float, optional
-        Seconds of a series of presses, holds, ramps and touches that each sample becomes; default: samples without a
-        time.
-    rate : float, optional
-        Moments of a series a second [Hz]; default: 50.
     crossbar : str, optional
         Circuit to read the array through, as a board does; default: each pillar alone.
     sense_ohm : float, optional
@@ -119,9 +101,9 @@ def dataset(
         Share of the samples that go into a second file, such as data-test.nc: the same sensor under other loads; those
         of a table are divided.
     **more
-        Fields of `inputs.Wires`, with a crossbar, and of `dataset.Imperfections`: noise, bits, drift, drift_tilt,
-        drift_pillar, drift_offset_ohm of readings; gain_spread, offset_ohm, specimen, dead_pillars, dead_rows,
-        dead_cols of the sensor.
+        Fields of `inputs.Wires`, with a crossbar, and of `dataset.DatasetSettings`: seed, cap, pressure_mpa, shear_mpa,
+        history_s, rate_hz of the loads; noise, bits, drift, drift_tilt, drift_pillar, drift_offset_ohm of readings;
+        gain_spread, offset_ohm, specimen, dead_pillars, dead_rows, dead_cols of the sensor.
 
     Returns
     -------
@@ -145,11 +127,10 @@ def dataset(
     sensor, twin, solved = _sensor(design)
     stages.require_pool(workers, scheduler)
     names = None if only is None else _variables(only)
-    read = imperfections(SPECIMEN.of(more))
-    if rate is not None and history is None:
-        raise DesignError(f"rate={rate:g} is of series over time: give history=, their seconds, too.")
-    asked = {"history_s": history, "rate_hz": rate, "pressure_mpa": pressure_mpa, "shear_mpa": shear_mpa}
-    read |= {name: value for name, value in asked.items() if value is not None}
+    asked = imperfections(SETTINGS.of(more))
+    in_time = bool(asked.get("history_s"))
+    if "rate_hz" in asked and not in_time:
+        raise DesignError(f"rate_hz={asked['rate_hz']:g} is of series over time: give history_s=, their seconds, too.")
     if protocol == "table" and loads is None:
         raise DesignError("protocol='table' draws from a table of loads: give loads=, too.")
     if protocol != "table" and loads is not None:
@@ -157,8 +138,8 @@ def dataset(
     if loads is not None:
         force_n = [each.force_n for each in stages.read_loads(Path(loads), sensor)]
         traction_mpa = np.reshape(force_n, (len(force_n), -1, 3)) / stages.forces(np.ones(3), sensor)
-        read["table_mpa"] = tuple(tuple(map(tuple, each)) for each in traction_mpa.tolist())
-    settings = stages.DatasetSettings(protocol=protocol, samples=samples, seed=seed, cap=cap, **read)
+        asked["table_mpa"] = tuple(tuple(map(tuple, each)) for each in traction_mpa.tolist())
+    settings = DatasetSettings(protocol=protocol, samples=samples, **asked)
     # refuses what the array lacks before anything is solved
     settings.dead_mask(sensor.array.rows, sensor.array.cols, sensor.unit.layout)
     wires = WIRES.of(more) | ({} if sense_ohm is None else {"sense_ohm": sense_ohm})
@@ -178,8 +159,8 @@ def dataset(
         _ = settings.on_pads  # refuses others
     elif protocol == stages.INDENT:
         stages.require_pressable(sensor)
-    if history is not None and (is_finite or twin is not None):
-        raise DesignError("history= moves linear rubber of a design: leave strain='finite' and twins out.")
+    if in_time and (is_finite or twin is not None):
+        raise DesignError("history_s= moves linear rubber of a design: leave strain='finite' and twins out.")
     solved = solved or stages.respond(with_model(sensor, "linear"), caller.bars)[1]
     solved = replace(solved, design=sensor)
     if is_solved:
@@ -193,7 +174,7 @@ def dataset(
             caller.say(f"finite strain bears {factor:g} of the loads that small strain does")
     said, settings = _loads_said(settings, solved), settings.suited(solved)
 
-    def simulated(settings: "stages.DatasetSettings", path: Path | None) -> "tuple[Any, dict[str, Any]]":
+    def simulated(settings: DatasetSettings, path: Path | None) -> "tuple[Any, dict[str, Any]]":
         if is_solved:
             advance = caller.bars.begin("dataset", total=stages.n_groups(settings.samples))
             made = stages.simulate_finite(solved, settings, readout, workers, scheduler, advance)
@@ -228,8 +209,8 @@ def dataset(
     result |= {} if test_share is None else {"test_file": str(beside), "test_samples": of_test.samples}
     result |= {} if twin is None else {"twin": twin.decoder_hash}
     result |= {name: list(value) for name in RANGES if (value := getattr(settings, name)) is not None}
-    kind = "samples" if history is None else "series"
-    line = f"{samples} {kind}, {story['redrawn']} draws passed the cap of {cap:g} and were redrawn"
+    kind = "series" if in_time else "samples"
+    line = f"{samples} {kind}, {story['redrawn']} draws passed the cap of {settings.cap:g} and were redrawn"
     line += f"; {story['kept']} {kind} are of earlier runs" if story.get("kept") else ""
     if is_finite and (errors := stages.in_memory(made).error_estimate) is not None:
         result |= {"strain": "finite", "unsolved": story["unsolved"], "error_estimate": float(errors.mean())}
@@ -239,21 +220,19 @@ def dataset(
         )
         if sensor.matrix_material.model == "linear":
             line += "; linear rubber was taken for neo-Hookean of the same E and ν"
-    share = story["redrawn"] / (samples + story["redrawn"])
-    if history is None and share > MAX_REDRAWN:
+    redrawn = story["redrawn"] / (samples + story["redrawn"])
+    if not in_time and redrawn > MAX_REDRAWN:
         line += (
-            f"\n{share:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: lower "
-            "the loads by --pressure or --shear, or raise --cap"
+            f"\n{redrawn:.0%} of all draws passed the cap, so light loads are more frequent than in the protocol: "
+            "lower the loads by --pressure or --shear, or raise --cap"
         )
-    result |= {"redrawn_share": share} if history is None else {}
+    result |= {} if in_time else {"redrawn_share": redrawn}
     line += "" if test_share is None else f"\n{of_test.samples} more for tests, under loads of their own"
     caller.answer(lambda: result, f"{said}{line}", *files)
     return made
 
 
-def _divided(
-    settings: "stages.DatasetSettings", share: float
-) -> "tuple[stages.DatasetSettings, stages.DatasetSettings]":
+def _divided(settings: DatasetSettings, share: float) -> tuple[DatasetSettings, DatasetSettings]:
     """Settings of samples to learn from, and of those to test with: other loads of the same sensor."""
     n_test = round(share * settings.samples)
     if not 0 < n_test < settings.samples:
@@ -273,7 +252,7 @@ def _divided(
     return learned, replace(tested, seed=settings.seed + OF_TESTS)
 
 
-def _loads_said(settings: "stages.DatasetSettings", response: "stages.ArrayResponse") -> str:
+def _loads_said(settings: DatasetSettings, response: "stages.ArrayResponse") -> str:
     """A line on loads that are not the paper's; else nothing."""
     if settings.table_mpa is not None:
         return f"{settings.summary(response.design)}\n"

@@ -93,8 +93,8 @@ def board(
     >>> scan.force_n.shape, scan.deviation_n.shape
     ((1, 2, 3), (1, 2, 3))
     """
-    caller, kept = current(), None if link is None else Path(link)
-    stages.require_symlink(kept)
+    caller, place = current(), None if link is None else Path(link)
+    stages.require_symlink(place)
     if not 0.1 <= period_s <= 600:
         raise DesignError(f"period_s={period_s:g} must be from 0.1 to 600 s.")
     if sys.platform == "win32":
@@ -102,9 +102,9 @@ def board(
     scan_mode = stages.scan_mode_named(mode)
     sense_ohm = round(stages.SUITED_SENSE_OHM[scan_mode]) if sense_ohm is None else sense_ohm
     asked: dict[str, Any] = {} if rate_hz is None else {"rate_hz": rate_hz}
-    told = stages.Info(scan_mode=scan_mode, sense_ohm=sense_ohm, bits=bits, serial=serial, **asked)
+    info = stages.Info(scan_mode=scan_mode, sense_ohm=sense_ohm, bits=bits, serial=serial, **asked)
     electronics = stages.Electronics(**WIRES.of(more))
-    replace(electronics.crossbar(told), noise=noise)  # refuses nonsense before anything takes time
+    replace(electronics.crossbar(info), noise=noise)  # refuses nonsense before anything takes time
     own = Imperfections(**imperfections(SPECIMEN.of(more)))
     asked_mpa = {} if pressure_mpa is None else {"peak_mpa": pressure_mpa}
     script = stages.PressAndSlide(seconds=period_s, **asked_mpa)
@@ -115,17 +115,17 @@ def board(
     if pressure_mpa is None and (loads := stages.loads_of(response)) != stages.PAPERS:
         script = replace(script, peak_mpa=loads.middle_mpa)
         caller.say(f"the design does not bear the paper's loads; the indenter presses with {loads.middle_mpa:.3g} MPa")
-    seen = replace(response, design=stages.seen_by(electronics.crossbar(told), response.design))
+    seen = replace(response, design=stages.seen_by(electronics.crossbar(info), response.design))
     motion, shunts = stages.press_and_slide(seen, script, own), stages.shunts_of(seen.design)
     rows, cols = motion.resistance_ohm.shape[1:3]
-    told = replace(told, rows=rows, cols=cols, layout=seen.design.unit.layout)
-    told = replace(told, **{"rate_hz": stages.usual_rate(told.n_crossings)} | asked)
-    suited, why = stages.suited_kind(told) if chip == "auto" else (chip, "")
+    info = replace(info, rows=rows, cols=cols, layout=seen.design.unit.layout)
+    info = replace(info, **{"rate_hz": stages.usual_rate(info.n_crossings)} | asked)
+    suited, why = stages.suited_kind(info) if chip == "auto" else (chip, "")
     caller.say(why)
-    crossbar = replace(electronics.crossbar(told), noise=noise, shunt_siemens=shunts)
+    crossbar = replace(electronics.crossbar(info), noise=noise, shunt_siemens=shunts)
     counts = stages.counts_over_time(motion.resistance_ohm, crossbar, own, seen.design.electrics)
     if truth is not None:
         stages.write_truth(motion, Path(truth))
-    with stages.run_board(suited, told, counts) as running, stages.symlinked(kept, running.port) as port:
+    with stages.run_board(suited, info, counts) as running, stages.symlinked(place, running.port) as port:
         caller.answer(lambda: {"port": port, "board": suited}, f"{suited} on {port}; Ctrl-C ends it", truth)
         yield port

@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.loads import PAPERS, Loads, loads_of
     from dataset.measurement import ReadingError, Readout
-    from dataset.protocols import INDENT, PROTOCOLS, forces, pad_protocol
-    from dataset.samples import ENOUGH, AnySamples, Samples, drawn, joined, require_dtype, require_samples
-    from dataset.settings import DatasetSettings
+    from dataset.protocols import INDENT, PROTOCOLS, forces
+    from dataset.samples import ENOUGH, AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_samples
     from dataset.table import TABLES, holds_samples, write_table
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from decoupler.inverse.sensor_model import SensorModel
     from decoupler.model.decoupler import Decoupler
     from decoupler.model_file import read_model, require_same_sensor, write_model
-    from decoupler.model.settings import NetworkConfig, TrainingConfig
     from decoupler.rubber.check import RubberCheck, checked as check_rubber, doubted
     from decoupler.rubber.fit import identified as rubber_of
     from decoupler.rubber.law import Rubber

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from common.errors import DesignError
 from common.storage.files import write_text
 from common.storage.journal import Journal
 from tripillar.face import stages
 from tripillar.face.caller import current
-from tripillar.face.inputs import DesignLike, File, Flag, design_of, job, require_packages
+from tripillar.face.inputs import DesignLike, File, design_of, job, require_packages
 from tripillar.terminal.interrupts import last_words
 
 MARKS = {"ok": "✓", "optional": "·", "wrong": "✗"}
@@ -118,17 +118,18 @@ def sweep(
         raise DesignError("retry=True is of sweeps: leave it out with optimize=True.")
     if trials is not None and not optimize:
         raise DesignError("trials= are of a search: add optimize=True, or leave trials= out.")
-    asked = stages.read_sweep(source)
+    asked, journal = stages.read_sweep(source), Journal(folder / f"{source.stem}-rows")
     asked = replace(asked, samples=trials or asked.samples)
-    if optimize:
-        return _optimized(asked, source, folder, workers, scheduler)
-    require_packages("sweep", "pyarrow", "matplotlib")
-    samples, journal = stages.samples_of_sweep(asked), Journal(folder / f"{source.stem}-rows")
-    found = stages.kept_rows(samples, journal, retry)
-    missing = [sample for sample in samples if sample.cache_key not in found]
+    require_packages("sweep", *(("optuna",) if optimize else ("pyarrow", "matplotlib")))
+    samples = [] if optimize else stages.samples_of_sweep(asked)
     with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
-        found |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
-    rows = [found[sample.cache_key] for sample in samples]
+        if optimize:
+            rows = stages.search(asked, pool, journal, _shown("trials", asked.samples))
+            return _best_of(rows, asked, source, folder / f"{source.stem}-best.toml")
+        by_key = stages.kept_rows(samples, journal, retry)
+        missing = [sample for sample in samples if sample.cache_key not in by_key]
+        by_key |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
+    rows = [by_key[sample.cache_key] for sample in samples]
     files = [folder / f"{source.stem}.parquet"]
     stages.write_parquet(rows, asked.metrics, files[0])
     if stages.told(rows, asked):
@@ -151,20 +152,13 @@ def sweep(
     return [*within, *(row for row in rows if row not in within)]
 
 
-def _optimized(
-    asked: "stages.Sweep", source: Path, folder: Path, workers: int | None, scheduler: str | None
-) -> "list[stages.Row]":
-    """The designs within bounds that a search tried, the best one first."""
-    require_packages("sweep", "optuna")
-    journal = Journal(folder / f"{source.stem}-rows")
-    with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
-        rows = stages.search(asked, pool, journal, _shown("trials", asked.samples))
+def _best_of(rows: "list[stages.Row]", asked: "stages.Sweep", source: Path, path: Path) -> "list[stages.Row]":
+    """The designs within bounds that a search tried, the best one first, which is written."""
     best = stages.ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {source} failed, such as: {rows[0].reason}")
     if not best:
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
-    path = folder / f"{source.stem}-best.toml"
     write_text(best[0].design or "", path)
     result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics), "file": str(path)}
     current().answer(lambda: result, lambda: stages.best_tables(rows, asked, 5), path)
@@ -179,7 +173,7 @@ def _shown(what: str, total: int) -> Callable[["stages.Row"], None]:
 
 
 @job()
-def doctor(*, compute: Annotated[bool, Flag(negative=("--no-compute",))] = True) -> "list[stages.Check]":
+def doctor(*, compute: bool = True) -> "list[stages.Check]":
     """Check this machine: versions, solver, display, serial ports, known answers.
 
     Ends with code 1 if something is wrong.

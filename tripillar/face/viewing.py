@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     Pressures = float | str | Sequence[float | str] | None
     Scale = float | str | None
 else:
-    Pressures = Annotated[tuple[str, ...], Flag(consume_multiple=True)]
+    Pressures = tuple[str, ...]
     Scale = str
 
 MAX_MPA, MAX_PANELS, MAX_SCALE = 100.0, 6, 1e6
@@ -207,8 +207,8 @@ def _shown(
             leave_at_once(130)
         stages.require_drawable(body, panels, pressures_mpa)
         steps = 1 if kind != ".mp4" or is_linear or is_ended() else FILM_STEPS
-        shares = [step / steps for step in range(1, steps)]
-        before = [stages.panels_of(body, pressures_mpa, load, stress, watch, share) for share in shares]
+        factors = [step / steps for step in range(1, steps)]  # of the load
+        before = [stages.panels_of(body, pressures_mpa, load, stress, watch, factor) for factor in factors]
     factor = stages.suited_scale(panels) if scale is None else scale
     warning = stages.linear_note(body, panels)
     advance(1, "")
@@ -276,7 +276,7 @@ def _require_model(model: "stages.Decoder", name: str, design: SensorDesign) -> 
 
 def _pressures(given: "Pressures") -> tuple[float | str, ...]:
     """The pressures [MPa], or shares such as 60%, that are asked for, sound and different; none: the usual one."""
-    found: list[float | str] = []
+    pressures: list[float | str] = []
     for each in () if given is None else (given,) if isinstance(given, int | float | str) else given:
         text = str(each)
         try:
@@ -288,10 +288,10 @@ def _pressures(given: "Pressures") -> tuple[float | str, ...]:
                 f"pressure_mpa={each} must be above 0 and at most {MAX_MPA:g} MPa, or {MAX_MPA:g}% of the most that "
                 "suits the design; the paper uses 1 to 5 MPa."
             )
-        found.append(text if text.endswith("%") else value)
-    if len(set(found)) < len(found) or len(found) > MAX_PANELS:
+        pressures.append(text if text.endswith("%") else value)
+    if len(set(pressures)) < len(pressures) or len(pressures) > MAX_PANELS:
         raise DesignError(f"pressure_mpa= takes at most {MAX_PANELS} different values, one for each picture.")
-    return tuple(found)
+    return tuple(pressures)
 
 
 def _suited(design: SensorDesign, asked: Sequence[float | str]) -> tuple[float, ...]:
