@@ -144,7 +144,7 @@ class Material(Sound):
     """
 
     # first, so that a design file never ends with a key that it may lack
-    model: str = quantity("linear", f"linear: small strain; {', '.join([*LAWS][1:])}: finite strain", True, of=LAWS)
+    model: str = quantity("linear", "law: linear at small strain, all others at finite strain", True, of=LAWS)
     stiffening: float = quantity(0.0, "c₂/c₁ of yeoh, which stiffens as it is stretched", True, within=(0.0, 10.0))
     second_ratio: float = quantity(SECOND_RATIO, "c₂/(c₁ + c₂) of mooney-rivlin", True, within=(0.0, 1.0))
     young_mpa: float = positive(6.1, "Young's modulus E")

@@ -21,7 +21,7 @@ from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, MIN_NOISE, Columns, Component, force_columns, load_numbers
 from decoupler.data.pairs import Pairs
 from decoupler.inverse.sensor_model import SensorModel
-from decoupler.training.suited import residuals
+from decoupler.training.suited import residuals, without_stuck
 from geometry.layout import AXES, FloatArray, untold
 
 MAX_JUDGED = 500  #: samples, spread over the data; more say no more of such mistakes
@@ -36,13 +36,13 @@ EDGE = 3.0**0.5  #: deviation of a reading that hops between two steps, over tha
 KGF_N = 9.80665  #: weight of a kilogram
 MAX_TIMES = 2.0  #: largest ratio to the design, or its inverse; real sensors differ by less, wrong units by more
 MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor shows it; above, it cannot be judged
-
 #: (unsure, sure): what the readings say of all forces, or of an axis', over what is stated; as made 0.76 to 1.33
 OF_AXES = (1.38, 1.6)
 OF_PAD = 1.2  #: the same of one pad beside the others, as made 0.95 to 1.08
 MAX_PADS = 64  #: pads that are looked at one by one
 PROBE_N = 1.0  #: change of forces by which the model is differentiated
 ROUNDS = 5  #: of a search for multiples
+STUCK = 0.03  #: most motion of a broken pillar over the expected one; under forces in kgf all have a tenth
 CLEAR = (1.5, 100.0)  #: times the noise: what is left is less, what moved is more, where no mistake hides
 TARE = 0.03  #: least size of what is added to all Fz, or of a pull, over their mean
 OWN_NOISE = 1.15  #: largest energy that a sensor's own response leaves over that of noise; of one 2 % higher 1.3
@@ -50,8 +50,7 @@ OWN_NOISE = 1.15  #: largest energy that a sensor's own response leaves over tha
 UNITS = {"kN": 1e3, "mN": 1e-3, "grams": 1e-3 * KGF_N, "kgf": KGF_N, "taken for kgf": 1 / KGF_N, "lbf": 4.44822}
 UNITS |= {"ounces": 0.278014, "halved": 2.0, "doubled": 0.5}
 NOT_LINKED = (
-    "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each beside its own "
-    "load"
+    "the readings fit the forces worse than if nothing linked them: give readings of this sensor, each with its load"
 )
 Turn = Callable[[FloatArray], FloatArray]  #: of forces (n, rows, cols, 3), which takes a mistake back
 
@@ -216,8 +215,9 @@ class _Fit:
         fit = cls(data, component, forward)
         still = ~(np.ptp(data.resistance_ohm, axis=0) > 0)
         still[..., component.pillars(data.layout)] = False
-        whole = replace(data, dead=still | data.is_dead)
-        return replace(fit, data=whole, component=COMPONENTS["all"] if fit.is_joint else component)
+        named = COMPONENTS["all"] if fit.is_joint else component
+        own = without_stuck(Columns.of(replace(data, dead=still | data.is_dead), named), forward, STUCK)
+        return replace(fit, data=replace(data, dead=own.dead), component=named)
 
     def turned(self, turn: Turn, place: Turn = lambda R: R) -> "_Fit":
         """The same under other forces, of readings in other places; as it is if no array or sensor bears such."""

@@ -119,8 +119,8 @@ def residuals(moved: FloatArray, expected: FloatArray) -> FloatArray:
     return moved - slope * expected
 
 
-def without_stuck(data: Columns, forward: SensorModel | None) -> Columns:
-    """Mark pillars that do not follow their loads as dead.
+def without_stuck(data: Columns, forward: SensorModel | None, most: float = MIN_MOVED) -> Columns:
+    """Mark pillars that do not follow their loads as dead: they move by less than this share of what they should.
 
     A pillar that hardly moves in training carries no information, but scaled to the others' range its noise counts as
     much as their signal, and it would give wild forces once it moves. It is held stuck if its readings spread far less
@@ -137,14 +137,14 @@ def without_stuck(data: Columns, forward: SensorModel | None) -> Columns:
     else:
         expected = _as_most(moved, some.force_n, some.component)
     noise = (some.errors.total(mean, *some.shape) / mean)[0]
-    stuck = some.readable & _unmoved(moved, expected, noise)
+    stuck = some.readable & _unmoved(moved, expected, noise, most)
     return data.without(stuck) if 0 < stuck.sum() <= some.readable.sum() / 2 else data
 
 
-def _unmoved(moved: FloatArray, expected: FloatArray, noise: FloatArray) -> NDArray[np.bool_]:
+def _unmoved(moved: FloatArray, expected: FloatArray, noise: FloatArray, most: float) -> NDArray[np.bool_]:
     """Which columns (n_columns,) stay where they are though both (n, n_columns), relative to their means, should agree.
 
-    `noise` (n_columns,) is that of the readings, relative.
+    `noise` (n_columns,) is that of the readings, relative; they move by `most` of what is expected, noise aside.
     """
     n, spread = len(moved), moved.std(axis=0)
     energy = (expected**2).sum(axis=0)
@@ -154,7 +154,7 @@ def _unmoved(moved: FloatArray, expected: FloatArray, noise: FloatArray) -> NDAr
     energy = np.where(judged, energy, 1.0)
     slope = (moved * expected).sum(axis=0) / energy
     error = np.sqrt(((moved - slope * expected) ** 2).sum(axis=0) / (n - 2) / energy)
-    within = np.hypot(MIN_MOVED * np.sqrt(energy / n), NOISE_TIMES * noise)
+    within = np.hypot(most * np.sqrt(energy / n), NOISE_TIMES * noise)
     return judged & (spread <= within) & (slope + SURE * error < MIN_MOVED)
 
 

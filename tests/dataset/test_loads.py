@@ -11,7 +11,6 @@ from dataset.loads import CAP, PAPERS, Loads, displacements, largest_pressures, 
 from dataset.protocols import PROTOCOLS
 from dataset.resistance import largest_strains
 from dataset.simulation import dataset_cache_key
-from fem.array.closed_forms import layer_response
 from fem.array.solving import ResponseSettings, solve_response
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import LAYOUTS
@@ -38,8 +37,9 @@ def softer(response, times):
 
 @pytest.fixture(scope="module")
 def cast():
-    """The response of an array of Ecoflex in closed form: loads are judged, not displacements."""
-    return layer_response(SensorDesign(array=Array(rows=1, cols=2), matrix_material=ECOFLEX, pillar_material=ECOFLEX))
+    """The response of stiff pillars cast into Ecoflex, to a few per cent: loads are judged, not displacements."""
+    design = SensorDesign(array=Array(rows=1, cols=2), matrix_material=ECOFLEX)
+    return solve_response(design, ResponseSettings(tolerance=0.2))
 
 
 @pytest.mark.parametrize("name", MEAN_MPA)
@@ -83,7 +83,7 @@ def test_rubber_ten_times_softer_is_loaded_a_tenth_and_deforms_alike(protocol, r
 
 
 @pytest.mark.parametrize("protocol", ["three-axis", "contact", "light"])
-def test_an_array_of_ecoflex_is_loaded_within_its_range_which_is_stored(protocol, cast, tmp_path):
+def test_stiff_pillars_in_ecoflex_are_loaded_within_their_range_which_is_stored(protocol, cast, tmp_path):
     """Below the paper's least load; less than a fifth of the draws pass the cap, by which electrodes sink at most."""
     settings = DatasetSettings(protocol=protocol, samples=200)
     data, own = simulate(cast, settings), loads_of(cast)

@@ -220,7 +220,7 @@ def at(force_n, pad, times):
 
 OTHERS = read(labelled(SENSOR, "xyz", n_samples=30, seed=9))
 SHUFFLED = np.random.default_rng(0).permutation(30)
-NOT_LINKED = "if nothing linked them: give readings of this sensor, each beside its own load"
+NOT_LINKED = "if nothing linked them: give readings of this sensor, each with its load"
 WRONG = {
     "kΩ": (turned(ohm=lambda R: R / 1000), r"0\.00\d+ times the design's: give them in Ω"),
     "kN": (
@@ -290,6 +290,21 @@ def test_half_of_the_pads_that_differ_are_named():
     data = replace(data, force_n=data.force_n * [[[1.0], [1.3]]])
     said = doubt(data, ALL, SensorModel.of(layer_response(small), ALL)) or ""
     assert re.search(r"forces of pad 0/\d .* forces of pad 1/\d", said), said
+
+
+@pytest.mark.parametrize("pillar", range(3))
+def test_a_broken_pillar_is_no_mistake_in_the_forces_of_its_pad(pillar):
+    """A wrong unit of that pad's forces is seen beside it."""
+    small = sensor(2, 2)
+    data = simulate(layer_response(small), DatasetSettings(protocol="three-axis", samples=100, noise=1e-3))
+    stuck_ohm = 9e3 * (1.0 + 1e-3 * np.random.default_rng(5).standard_normal(100))
+    data = replace(data, resistance_ohm=data.resistance_ohm.copy())
+    data.resistance_ohm[:, 1, 1, pillar] = stuck_ohm
+    judge = SensorModel.of(layer_response(small), ALL)
+    assert doubt(data, ALL, judge) is None
+    for times in (1 / 9.80665, 9.80665):
+        wrong = replace(data, force_n=at(data.force_n, (1, 1), times))
+        assert "forces of pad 1/1" in (doubt(wrong, ALL, judge) or "")
 
 
 def test_kilohms_are_noticed_without_a_design():
