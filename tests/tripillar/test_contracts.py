@@ -231,6 +231,7 @@ response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be a
 response --out r.csv --design small.toml -> --out r.csv must be a file that ends in .nc
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
 press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
+dataset --samples 5 -o x.nc -> --protocol is missing: one of independent-fz, independent-fx, contact-fz
 dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
 dataset --protocol contact --samples 5 -o data.nc --design data.nc -> data.nc is read by this command
 dataset --protocol contact --samples 5 -o x.txt -> --out x.txt must be a file that ends in .nc or .zarr

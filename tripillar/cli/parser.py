@@ -104,8 +104,10 @@ def _in_one_line(error: Any) -> str:
     argument, token = error.argument, getattr(error, "token", None)
     if isinstance(error, cyclopts.MissingArgumentError) and argument is not None:
         typed = argument.name if error.keyword is None else error.keyword
+        choices = ", ".join(argument.get_choices(force=True) or ())
+        meaning = (argument.parameter.help or "").partition(";")[0].rstrip(".")
         message = (
-            f"{typed} is missing: {(argument.parameter.help or '').partition(';')[0].rstrip('.')}."
+            f"{typed} is missing: {f'one of {choices}' if choices else meaning}."
             if error.keyword is None
             else f"{typed} needs {'a value' if (count := argument.token_count()[0]) == 1 else f'{count} values'}."
         )
