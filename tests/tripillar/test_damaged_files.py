@@ -24,7 +24,7 @@ FLIPS = 60
 def a_cell(path):
     matrices = {name: np.random.default_rng(0).normal(size=(6, 6)) for name in ("stiffness", "transfer", "compliance")}
     cell = CondensedCell(ports=PortModes(7.5, 10.0, 2), **matrices, unknowns=100, residual=1e-12)
-    refined = RefinedCell(cells=((1.0, {(): cell}),), error_estimate=1e-3, steps=("one", "two"))
+    refined = RefinedCell(cells=((1.0, cell),), error_estimate=1e-3, steps=("one", "two"))
     write_value(refined, path)
     return lambda path: read_value(RefinedCell, path)
 
