@@ -40,8 +40,7 @@ MAX_UNSURE = 0.2  #: largest relative standard deviation of a load as the sensor
 OF_AXES = (1.38, 1.6)
 OF_PAD = 1.2  #: the same of one pad beside the others, as made 0.95 to 1.08
 MAX_PADS = 64  #: pads that are looked at one by one
-PROBE_N = 1.0  #: change of forces by which the model is differentiated
-ROUNDS = 5  #: of a search for multiples
+PROBE_N, ROUNDS = 1.0, 5  #: change of forces by which the model is differentiated; of a search for multiples
 STUCK = 0.03  #: most motion of a broken pillar over the expected one; under forces in kgf all have a tenth
 CLEAR = (1.5, 100.0)  #: times the noise: what is left is less, what moved is more, where no mistake hides
 TARE = 0.03  #: least size of what is added to all Fz, or of a pull, over their mean
@@ -215,9 +214,10 @@ class _Fit:
         fit = cls(data, component, forward)
         still = ~(np.ptp(data.resistance_ohm, axis=0) > 0)
         still[..., component.pillars(data.layout)] = False
-        named = COMPONENTS["all"] if fit.is_joint else component
-        own = without_stuck(Columns.of(replace(data, dead=still | data.is_dead), named), forward, STUCK)
-        return replace(fit, data=replace(data, dead=own.dead), component=named)
+        data, named = replace(data, dead=still | data.is_dead), COMPONENTS["all"] if fit.is_joint else component
+        stuck = without_stuck(Columns.of(data, named), forward, STUCK).dead
+        whole = replace(data, dead=data.is_dead | (stuck & ~stuck.all(axis=(0, 1))))  # one in all units is misplaced
+        return replace(fit, data=whole, component=named)
 
     def turned(self, turn: Turn, place: Turn = lambda R: R) -> "_Fit":
         """The same under other forces, of readings in other places; as it is if no array or sensor bears such."""
