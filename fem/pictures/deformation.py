@@ -176,7 +176,7 @@ def legend(bars: Sequence[Bar], notes: Sequence[str], wide: int) -> Figure:
         axes.tick_params(length=0)
         axes.set_title(bar.title, loc="left", fontsize=13.5, color=INK)
         left += width + gap
-    figure.text(0.96, 0.8, "\n".join(notes), ha="right", va="top", fontsize=13.5, color=INK, linespacing=1.5)
+    figure.text(0.96, 0.5, "\n".join(notes), ha="right", va="center", fontsize=13.5, color=INK, linespacing=1.3)
     return figure
 
 

@@ -1,15 +1,29 @@
 """Pictures show a deformed array on an honest scale: parts in their places, moved as the field says."""
 
 from dataclasses import replace
+from textwrap import wrap
 
 import numpy as np
 import pytest
 import pyvista as pv
 import trimesh
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 
 from fem.pictures.arrays import bell_pressure
-from fem.pictures.deformation import QUANTITIES, VIEWS, DeformedPicture, add_words, bar_of, pads_bar, place, scale_bar
+from fem.pictures.deformation import (
+    LEGEND_PX,
+    NOTE,
+    QUANTITIES,
+    VIEWS,
+    DeformedPicture,
+    add_words,
+    bar_of,
+    legend,
+    pads_bar,
+    place,
+    scale_bar,
+)  # fmt: skip
 from fem.pictures.parts import QUADRILATERAL, Part, column_surface, pillar_surface, sensor_parts
 from geometry.design import Array, SensorDesign, Unit
 from geometry.layout import LAYOUTS, pillar_volumes, unit_centres
@@ -135,3 +149,16 @@ def test_a_pad_without_load_is_grey_not_absent(parts):
     red, green, blue = to_rgb(picture.bars[-1].colours[0])
     assert max(red, green, blue) - min(red, green, blue) < 0.1
     picture.plotter.close()
+
+
+def test_the_longest_note_lies_within_the_strip_below_the_picture(parts):
+    """Its lines, and beside the bars."""
+    longest = "linear, though a pillar is strained by 10% and the top moves by 25% of the height"
+    notes = ["displacement: true scale", *wrap(longest, NOTE)]
+    wide = 1000
+    figure = legend([bar_of(QUANTITIES["displacement"], [parts]), pads_bar([parts])], notes, wide)
+    figure.set_size_inches(wide / 100, LEGEND_PX / 100)
+    (words,) = figure.texts
+    box = words.get_window_extent(FigureCanvasAgg(figure).get_renderer())
+    assert 0 <= box.y0 < box.y1 <= LEGEND_PX
+    assert box.x0 > max(axes.get_window_extent().x1 for axes in figure.axes)
