@@ -130,8 +130,8 @@ def save_file(header: dict[str, Any], part: Any, path: Path) -> None:
 def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: Path) -> None:
     """Refuse data of another sensor than the model's by a `FileFormatError`; `model` and `dataset` are named in it.
 
-    Of another size, or, where both sides state their design, of another value of it but drifts; of a twin of one that
-    it does not find out.
+    Of another size, or, where both sides state their design, of another value of it but drifts and what rubber
+    remembers, which training leaves out; of a twin of one that it does not find out.
     """
     rows, cols = data.shape
     differences = [
@@ -157,7 +157,9 @@ def require_same_sensor(decoupler: Any, data: AnySamples, model: Path, dataset: 
 def _design_differences(model: SensorDesign, data: SensorDesign, of_twin: bool = False) -> list[str]:
     ours, theirs = _flat(asdict(model)), _flat(asdict(data))
     free = uncertain_keys(model) | uncertain_keys(data) if of_twin else set()  # as it was meant, as it was measured
-    free |= {f"electrics.{spec.name}" for spec in fields(Drifts)}  # how far readings drift makes no other sensor
+    # how far readings drift, and what rubber remembers, makes no other sensor
+    free |= {f"electrics.{spec.name}" for spec in fields(Drifts)}
+    free |= {name for name in ours if name.startswith(("pillar_material.memory.", "pillar_material.prony."))}
     return [
         f"{name}: model {_shown(ours[name])}, data {_shown(theirs[name])}"
         for name in ours
@@ -173,7 +175,7 @@ def _flat(table: dict[str, Any], group: str = "") -> dict[str, float | str]:
     """{"array": {"pitch_mm": 15}} -> {"array.pitch_mm": 15}."""
     flat: dict[str, float | str] = {}
     for name, value in table.items():
-        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
+        flat |= _flat(value, f"{group}{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
     return flat
 
 

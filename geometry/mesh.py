@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 REGIONS = ("matrix", "pillar")  #: meaning of a region's number in a sensor's mesh
+_MEND = "part what lies close together, or thicken what is thin."
 METHOD = 4  #: raise when the same settings give another kind of mesh, so that cached ones are not reused
 ATTEMPTS = 4  #: meshes tried, each with half the envelope of the one before
 #: of their volume, relative; beyond, a mesh is made again, and the last one refused: all faces of square pillars that
@@ -322,8 +323,7 @@ def outward(points: FloatArray, cells: NDArray[np.int64]) -> NDArray[np.int64]:
     if np.median(volumes) < 0:
         cells, volumes = cells[:, [1, 0, 2, 3]], -volumes
     if flat := int(np.sum(~(volumes > 0))):
-        said = f"{flat} of {len(cells)} tetrahedra are flat or inside out on the plane faces"
-        raise GeometryError(f"{said}: lower envelope_mm.")
+        raise GeometryError(f"{flat} of {len(cells)} tetrahedra are flat or inside out on the plane faces: {_MEND}")
     return cells
 
 
@@ -341,8 +341,7 @@ def check_volumes(mesh: TetMesh, task: MeshTask) -> None:
     for name, (volume, wanted, tolerance) in expected.items():
         if not abs(volume - wanted) <= tolerance * wanted:  # so that NaN is refused
             raise GeometryError(
-                f"{name} has {volume:.6g} mm³ in the mesh of tetrahedra instead of {wanted:.6g}: part what lies close "
-                "together, or thicken what is thin."
+                f"{name} has {volume:.6g} mm³ in the mesh of tetrahedra instead of {wanted:.6g}: {_MEND}"
             )
 
 

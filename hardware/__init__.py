@@ -6,15 +6,20 @@ forces of them, and `session` is what is done with a connected board. `firmware/
 boards that are not there. Open `session.py` first.
 """
 
-from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
-from hardware.link.scanner import Scanner, ScannerError
-from hardware.link.serial_ports import PortError
-from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
-from hardware.readout.crossbar import Crossbar
-from hardware.readout.forces import ForceReader, Forces, replay
-from hardware.recording import Recorder, Recording, read_recording
-from hardware.session import live
-from hardware.streams.files import convert, write_forces
+from typing import TYPE_CHECKING
+
+from common.lazy import lazily
+
+if TYPE_CHECKING:
+    from hardware.link.frames import Frame, FrameDecoder, Info, ScanMode
+    from hardware.link.scanner import Scanner, ScannerError
+    from hardware.link.serial_ports import PortError
+    from hardware.readout.calibration import SensorCalibration, read_calibration, write_calibration
+    from hardware.readout.crossbar import Crossbar
+    from hardware.readout.forces import ForceReader, Forces, replay
+    from hardware.recording import Recorder, Recording, read_recording
+    from hardware.session import live
+    from hardware.streams.files import convert, write_forces
 
 __all__ = [
     "Crossbar",
@@ -38,3 +43,5 @@ __all__ = [
     "write_calibration",
     "write_forces",
 ]
+
+__getattr__ = lazily(__name__)

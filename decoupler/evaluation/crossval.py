@@ -14,6 +14,7 @@ from decoupler.data.columns import Columns, component_named
 from decoupler.evaluation.metrics import ForceErrors, evaluate
 from decoupler.model.settings import NetworkConfig, TrainingConfig
 from decoupler.training.suited import suited
+from decoupler.training.trainer import train
 
 if TYPE_CHECKING:
     from fem.array.response import ArrayResponse
@@ -89,8 +90,6 @@ def jobs_of(
 
 def fold(data: Samples, settings: dict[str, Any], trained_on: np.ndarray, tested_on: np.ndarray) -> Fold:
     """Train on some samples of `data` and test on others, in whatever process this runs; settings are as of `train`."""
-    from decoupler.training.trainer import train  # loads torch: in the processes that train, and only there
-
     started = time.perf_counter()
     model = train(data[trained_on], **settings, judged=False)
     seconds, outcome = time.perf_counter() - started, model.made_from["outcome"]

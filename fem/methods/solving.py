@@ -65,7 +65,7 @@ def _on_tetrahedra(scene: Scene, plan: Plan, with_field: bool) -> Solution:
     return FiniteSolution(**vars(found) | told | {"load_steps": last.steps, "steps": found.steps + unchecked})
 
 
-def beyond_linear(scene: Scene, solution: Solution) -> str:
+def small_strain_warning(scene: Scene, solution: Solution) -> str:
     """A line that says that a linear answer moves too far for small strains; empty where it does not.
 
     Judged by the largest displacement of a probe over the body's least extent, of a free pillar over its length: bent,

@@ -23,7 +23,7 @@ from decoupler.export.onnx_file import onnx_model
 from decoupler.export.traced import ExportError, Traced
 from decoupler.model_file import model_cache_key, read_model, require_same_sensor, write_model
 from geometry import Array, DesignError, FileFormatError
-from geometry.design import Electrics
+from geometry.design import Electrics, Memory, Prony
 from tests.decoupler.synthetic_sensor import RESPONSE, SMALL, labelled, response, sensor
 from tests.decoupler.test_contract import CC, STRICT, by_header, by_onnx, made
 
@@ -118,10 +118,11 @@ def test_file_that_contradicts_itself_is_refused(path, change, message):
 
 
 def test_data_of_another_sensor_are_refused(decoupler):
-    """What differs is named with both values; data of no stated design, or of other drifts, are taken."""
+    """What differs is named with both values; data of no stated design, or of other drifts or memory, are taken."""
     require_same_sensor(decoupler, DATA, "m", "d")
     drifting = replace(DATA.design, electrics=Electrics(drift=0.005))
-    for design in (None, drifting):
+    rubber = replace(DATA.design.pillar_material, memory=Memory(a=(0.1, 0.0)), prony=Prony(share=(0.1, 0.0)))
+    for design in (None, drifting, replace(DATA.design, pillar_material=rubber)):
         require_same_sensor(decoupler, replace(DATA, design=design), "m", "d")
     other = replace(DATA.design, array=Array(rows=2, cols=3, pitch_mm=17.0))
     for data, said in (

@@ -118,7 +118,7 @@ def test_cells_are_turned_outward_or_refused():
     over[2] = over[2][[1, 0, 2, 3]]
     flat[4, 2] = 0.0
     for points, cells in ((mesh.points_mm, over), (flat, mesh.cells)):
-        with pytest.raises(GeometryError, match=r"of 6 tetrahedra are flat or inside out.*lower envelope_mm"):
+        with pytest.raises(GeometryError, match=r"of 6 tetrahedra are flat or inside out.*thicken what is thin"):
             outward(points, cells)
 
 

@@ -180,7 +180,7 @@ def solve(
     result = stages.solution_as_plain(solution, plan.lines)
     caller.answer(lambda: result, lambda: [stages.solution_table(solution)], vtu)
     _warn_above(body.tolerance, solution.error_estimate, "; explain=True says why")
-    far = stages.beyond_linear(body, solution)
+    far = stages.small_strain_warning(body, solution)
     caller.say(f"warning: {far}" if far else "")
     return solution
 

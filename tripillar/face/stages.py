@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from fem.contact.surface import require_bare, require_pressable
     from fem.methods.plan import make_plan
     from fem.kernel.newton import Stopped
-    from fem.methods.solving import LARGE_SHARE, beyond_linear, follow
+    from fem.methods.solving import LARGE_SHARE, follow, small_strain_warning
     from fem.pictures.arrays import solve_array_field
     from fem.pictures.contact import draw_contact
     from fem.pictures.deformation import QUANTITIES, DeformedPicture
