@@ -1,6 +1,7 @@
 """`tripillar rubber` as it is typed: a series in, a rubber out, which designs extend and other series check."""
 
 import csv
+import re
 
 import pytest
 
@@ -45,7 +46,8 @@ def test_a_series_becomes_a_rubber_that_is_checked_and_extended(house):
 
 
 def test_people_read_numbers_with_deviations_and_what_is_not_told(house):
-    done = house.tripillar("rubber", "--data", "series.csv")
+    done = house.tripillar("rubber", "--data", "series.csv", "--section-mm2", "40")
     assert done.returncode == 0
     assert "b_shorten = " in done.stdout
+    assert re.search(r"^E = 0\.3\d+ MPa$", done.stdout, re.MULTILINE)  # 3 × 5 N / 40 mm²
     assert "unknown: compression: take the same test pressed" in done.stdout

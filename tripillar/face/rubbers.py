@@ -146,6 +146,8 @@ def _said(result: dict[str, Any]) -> str:
         f"force: {elastic['model']}, μ times section {elastic['stiffness_n']:.4g} N, "
         f"relaxing by {elastic['prony']['share'][0]:.1%} and {elastic['prony']['share'][1]:.1%}"
     )
+    units = {"young_mpa": ("E", "MPa"), "resistivity_ohm_mm": ("resistivity", "Ω mm")}
+    lines += [f"{name} = {result[key]:.4g} {unit}" for key, (name, unit) in units.items() if result[key] is not None]
     lines.append(_missed(result))
     lines += [f"unknown: {each['what']}: take {each['test']}" for each in result["unknown"]]
     return "\n".join(lines)
