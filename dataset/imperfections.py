@@ -41,7 +41,7 @@ class Imperfections(ReadingError):
     offset_ohm: float = quantity(0.0, "standard deviation of the pillars' offsets [Ω]", within=(0, 1e6))
     specimen: int = quantity(0, "seed of gains and offsets; each is another specimen", within=SEEDS)
     memory_spread: float = quantity(
-        0.0, "relative standard deviation, from pillar to pillar, of what its rubber remembers", True, within=(0, 1)
+        0.0, "relative standard deviation of the rubber's memory from pillar to pillar", True, within=(0, 1)
     )
     temperature_rise: float = quantity(
         0.0, "temperature above that of the stated resistivity [K]", True, within=(-200.0, 300.0)

@@ -207,11 +207,11 @@ class Drifts(Sound):
         0.0, "standard deviation of a drift that all readings share, relative: 0.005 is 0.5 %", True, within=DRIFTS
     )
     drift_tilt: float = quantity(
-        0.0, "standard deviation of one linear over the array along x and y, at the rim", True, within=DRIFTS
+        0.0, "standard deviation at the rim of a drift that is linear along x and y", True, within=DRIFTS
     )
-    drift_pillar: float = quantity(0.0, "standard deviation of one of each pillar alone", True, within=DRIFTS)
+    drift_pillar: float = quantity(0.0, "standard deviation of a drift of each pillar alone", True, within=DRIFTS)
     drift_offset_ohm: float = quantity(
-        0.0, "standard deviation of one that adds as much to all readings [Ω]", True, within=(0.0, 5e3)
+        0.0, "standard deviation of a drift that adds as much to all readings [Ω]", True, within=(0.0, 5e3)
     )
 
     def with_drifts_of(self, other: "Drifts | None") -> Self:

@@ -14,7 +14,7 @@ COMMON = 2  #: commands from which on an option of theirs is told once for all
 TITLE = """# Commands
 
 What `tripillar COMMAND --help` prints. `INT=6` is 6 unless given, choices stand in brackets. *Also* names options of
-several commands, which are told here; all have the first four:"""
+several commands, listed here; every command has the first four:"""
 
 OF_THE_PROGRAM = (
     "- `--version`: Print the version and exit.",
@@ -28,8 +28,9 @@ def reference() -> str:
     names = [name for commands in COMMANDS.values() for name in commands]
     told = {name: [shown(each) for each in options_of(app, name)] for name in names}
     counts = Counter(line for lines in told.values() for line in lines)
-    often = sorted((line for line, count in counts.items() if count >= COMMON), key=lambda line: counts[line])
-    common = list({flag_of(line): line for line in often}.values())[::-1]  # of a flag that means two things, one
+    often = sorted((line for line, count in counts.items() if count >= COMMON), key=lambda line: -counts[line])
+    # of a flag that means two things, the one that more commands have
+    common = list({flag_of(line): line for line in reversed(often)}.values())[::-1]
     blocks = [TITLE, "\n".join([*OF_THE_PROGRAM, *common])]
     for heading, commands in COMMANDS.items():
         blocks.append(f"## {heading}")

@@ -240,7 +240,7 @@ def replay(
         Rubber file (.toml) whose memory is taken out of the readings once a hold or a rest has shown it; default: that
         of the model's design, if any.
     speed : float, optional
-        Times its own pace at which to show it, as `live` does; default: all at once.
+        Pace at which to show it as `live` does, 1 being its own; default: all at once.
     out : path, optional
         File for the forces of every frame: .nc, or .mcap, of messages of ROS 2.
     crosstalk : bool

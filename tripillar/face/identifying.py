@@ -67,7 +67,7 @@ def identify(
     pairs : int, optional
         Number of pairs to use, from the first on; default: all.
     usual : str, optional
-        Loads that it will meet; default: of a data set its own, else contact, of sensors without shear contact-fz.
+        Loads that it will meet; default: a data set's own, else contact, or contact-fz for sensors without shear.
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
     finite : Samples, Decoupler or path, optional
@@ -165,7 +165,7 @@ def plan_loads(
         What you have for next loads: plate:20kg,pad:15kg,string:3kg,air:30kPa; or a table (CSV); default: what a
         kitchen has.
     usual : str, optional
-        Loads that it will meet; default: contact, of sensors without shear contact-fz.
+        Loads that it will meet; default: contact, or contact-fz for sensors without shear.
     tolerances : mapping, optional
         As of `identify`.
 

@@ -86,10 +86,10 @@ class Board:
     calibration: File | None = quantity(None, "calibration file of this sensor; default: as designed, switches of 25 Ω")
     baud: int = quantity(1_000_000, "speed of the serial port [bit/s]")
     timeout: float = quantity(4.0, "time to wait for the board's answer [s]")
-    rows: int | None = quantity(None, "rows of a board or log that sends plain lines of numbers, one a unit")
-    cols: int | None = quantity(None, "columns of that board or log")
-    bits: int | None = quantity(None, "bits of the converter whose counts these are; default: readings as they are")
-    circuit: Circuit | None = quantity(None, "circuit before that converter; default: divider")
+    rows: int | None = quantity(None, "rows of a board or log of plain numbers, one a unit")
+    cols: int | None = quantity(None, "columns of a board or log of plain numbers")
+    bits: int | None = quantity(None, "bits of the converter, if plain numbers are its counts; default: readings")
+    circuit: Circuit | None = quantity(None, "circuit before the converter of such counts; default: divider")
     sense_ohm: float | None = quantity(None, "sense or feedback resistor of that circuit [Ω]; default: 10000")
 
 

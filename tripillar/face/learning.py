@@ -94,7 +94,7 @@ def train(
     out : path, optional
         Model file to write (.safetensors).
     design : SensorDesign or path, optional
-        Design file (TOML) for data that state none; default: the paper's sensor, if its array has their size.
+        Design file (TOML) of data that state none; default: the paper's sensor if of their size.
     response : ArrayResponse, optional
         Response of the sensor; default: solved with the default tolerance if need be.
     force : bool
@@ -196,7 +196,7 @@ def evaluate(
     limits : bool
         Compute the least error that the readings allow, too.
     folds : int, optional
-        Number of parts to cross-validate, each tested once; the paper uses 10.
+        Number of parts to cross-validate; the paper uses 10.
     predictions : array or path, optional
         Forces of another program for the same data, in place of a model: a NetCDF file with force_n (sample, row, col,
         axis) [N], samples in their order, NaN along axes left out.

@@ -42,7 +42,7 @@ class Sizes:
     unit: Unit | None = quantity(
         None, "unit of a file's numbers; default: mm, if that makes a tool of a usual size; STEP states its own"
     )
-    scale: float | None = quantity(None, "how many times as large as in its file a tool is")
+    scale: float | None = quantity(None, "factor by which a tool is larger than in its file")
 
 
 SIZES = Options(Sizes)
@@ -93,7 +93,7 @@ def press(
     picture : path, optional
         PNG file of the contact.
     force : bool
-        Give a contact, too, whose estimated error is above 20 %.
+        Give a contact even if its estimated error is above 20 %.
     **sizes
         Fields of `pressing.Sizes`: radius_mm, size_mm, length_mm, turn_deg, unit and scale.
 

@@ -47,7 +47,7 @@ def rubber(
     columns : str
         Names of the table's columns, such as time_ms=t,resistance_kohm=R.
     length_mm : float, optional
-        Length of the specimen between its clamps [mm]; of displacements, and of what two wires read.
+        Length of the specimen between its clamps [mm], for displacements and for two wires.
     section_mm2 : float, optional
         Section of the specimen at rest [mm²]: gives Young's modulus.
     electrodes_mm : float, optional

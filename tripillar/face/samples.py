@@ -92,7 +92,7 @@ def dataset(
     workers : int, optional
         Worker processes of finite strain and of .zarr; default: one a core.
     scheduler : str, optional
-        Address of a Dask scheduler to use in their place, such as tcp://host:8786.
+        Address of a Dask scheduler to use instead of processes here, such as tcp://host:8786.
     only : str, optional
         Variables to keep, such as resistance,force; default: all.
     dtype : str

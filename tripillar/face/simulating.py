@@ -51,9 +51,9 @@ def board(
     design : SensorDesign, ArrayResponse or path, optional
         Design file (TOML); default: the paper's sensor.
     chip : str
-        Board to be: the firmware on a simulated chip, or the same frames from Python.
+        Board to simulate: the firmware on a simulated chip, or the same frames from Python.
     link : path, optional
-        Link of this name to the port, to be kept while it runs.
+        Name of a link to the port, kept while it runs.
     pressure_mpa : float, optional
         Largest pressure of an indenter that comes down on a corner, slides to the opposite one, and lifts [MPa]; 0: at
         rest; default: 3, or the middle of what the design bears.

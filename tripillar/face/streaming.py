@@ -16,11 +16,11 @@ class AskedStreams:
     """Streams as they are asked for: addresses are served, files are written."""
 
     foxglove: bool = quantity(False, "serve Foxglove by WebSocket, on 127.0.0.1:8765: this machine alone")
-    foxglove_at: str | None = quantity(None, "address HOST:PORT to do so; 0.0.0.0 lets everybody in")
-    foxglove_token: str | None = quantity(None, "token that lets in: only who opens ws://HOST:PORT/?token=TOKEN")
+    foxglove_at: str | None = quantity(None, "address HOST:PORT to serve it on; 0.0.0.0 lets everybody in")
+    foxglove_token: str | None = quantity(None, "token without which nobody gets in: ws://HOST:PORT/?token=TOKEN")
     mcap: File | None = quantity(None, "file (.mcap) to write, messages of ROS 2: for Foxglove, Rerun, ROS")
     rerun: bool = quantity(False, "serve Rerun viewers by gRPC, on 127.0.0.1:9876: this machine alone")
-    rerun_at: str | None = quantity(None, "address HOST:PORT to do so; 0.0.0.0 lets everybody in")
+    rerun_at: str | None = quantity(None, "address HOST:PORT to serve them on; 0.0.0.0 lets everybody in")
     rrd: File | None = quantity(None, "file (.rrd) to write as well: what Rerun is shown")
 
     def require(self) -> None:

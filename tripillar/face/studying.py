@@ -82,7 +82,7 @@ def sweep(
     workers : int, optional
         Number of worker processes; default: one a core.
     scheduler : str, optional
-        Address of a Dask scheduler to use instead of processes here.
+        Address of a Dask scheduler to use instead of processes here, such as tcp://host:8786.
     retry : bool
         Try designs that failed before once more; not in a search.
     best : int

@@ -58,7 +58,7 @@ class Served:
     host: str = quantity("127.0.0.1", "address of the page, by default for this machine alone")
     http_port: int = quantity(8080, "port of the page; 0: any free one")
     port: str | None = quantity(None, "sensor to show: a port as of 'live', or a recording")
-    model: File | None = quantity(None, "model file that reads the forces of that sensor, which needs one")
+    model: File | None = quantity(None, "model file of the forces; default: without a sensor the response's inverse")
     rubber: File | None = quantity(None, "rubber file whose memory is taken out of its readings, as of 'live'")
 
     def __post_init__(self) -> None:
