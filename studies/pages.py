@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from common.errors import FileFormatError
 from common.storage.files import write_json, write_text
 from tripillar.terminal.entry import wrote
 
@@ -138,16 +139,30 @@ def fill(
     out: Annotated[Path | None, Parameter(help="Folder of a run, such as out; default: no new numbers.")] = None,
     docs: Annotated[Path, Parameter(help="Folder of the pages.")] = DOCS,
 ) -> None:
-    """Take the numbers that a run wrote, and fill the tables of the pages."""
+    """Take the numbers that a run wrote, and fill the tables of the pages; truths that it left out stay."""
     files = []
     for name, written in RUNS.items():
         if out is not None and (out / written).exists():
-            write_json(_kept(json.loads((out / written).read_text(encoding="utf-8"))), docs / "numbers" / name)
-            files.append(docs / "numbers" / name)
+            numbers, kept = _kept(json.loads((out / written).read_text(encoding="utf-8"))), docs / "numbers" / name
+            if isinstance(numbers, list) and kept.exists():
+                by_truth = _by_truth(json.loads(kept.read_text(encoding="utf-8"))) | _by_truth(numbers)
+                numbers = [row for rows in by_truth.values() for row in rows]
+            write_json(numbers, kept)
+            files.append(kept)
+    if out is not None and not files:
+        raise FileFormatError(f"{out}: has none of {', '.join(RUNS.values())}: name the folder that a run filled.")
     for page in filter(Path.exists, (docs / name for name in PAGES)):
         write_text(filled(page.read_text(encoding="utf-8"), docs / "numbers"), page)
         files.append(page)
     wrote(files)
+
+
+def _by_truth(rows: Numbers) -> dict[tuple[str, ...], list[Numbers]]:
+    """Rows of the runs of truths, by what each run is of."""
+    grouped: dict[tuple[str, ...], list[Numbers]] = {}
+    for row in rows:
+        grouped.setdefault((row["truth"], row["protocol"], row["size"]), []).append(row)
+    return grouped
 
 
 def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], n_texts: int) -> str:

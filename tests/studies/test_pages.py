@@ -2,6 +2,9 @@
 
 import json
 
+import pytest
+
+from common.errors import FileFormatError
 from studies.pages import BLOCK, DOCS, PAGES, TABLES, fill, filled
 
 
@@ -29,3 +32,10 @@ def test_new_numbers_of_a_run_come_into_the_page(tmp_path):
     (kept,) = json.loads((docs / "numbers" / "truths.json").read_text(encoding="utf-8"))[:1]
     assert kept["error_pct"][0] == 1.23457
     assert "seconds" not in kept
+    other = [row | {"truth": "other", "pairs": pairs} for pairs in (10, 3)]
+    (out / "robustness-pairs.json").write_text(json.dumps(other), encoding="utf-8")
+    fill(tmp_path / "out", docs)
+    both = json.loads((docs / "numbers" / "truths.json").read_text(encoding="utf-8"))
+    assert [(row["truth"], row["pairs"]) for row in both] == [("pads", 10), ("pads", 3), ("other", 10), ("other", 3)]
+    with pytest.raises(FileFormatError, match="has none of"):
+        fill(tmp_path / "nowhere", docs)
