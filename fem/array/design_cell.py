@@ -70,7 +70,7 @@ GRID_STAGES: dict[str, tuple[Stage, ...]] = {
 MESH_STAGES: tuple[Stage, ...] = ((0, 1, 6), (0, 2, 8), (2, 3, 9), (2, 4, 9), (3, 5, 10))
 COARSE, FINE = 3e-3, 5e-4  #: tolerances: above the first, begin with stage 1; below the second, allow the last stage
 MESH_LIMITS = (2e-2, 4e-3, 2e-3)  #: tolerances below which tetrahedra begin with stages 2, 3 and 4
-#: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.1 to 10 times
+#: fraction of the extrapolation's step that is taken for its error: with the ports' the estimates are 1.05 to 13 times
 #: the error of 24 designs (pitches of 10 to 20 mm, heights of 6 to 20 mm, pads of 6.5 to 15.5 mm, ν from 0.3 to 0.499)
 EXTRAPOLATION_ERROR = {"soft": 0.6, "stiff": 0.41}
 COMPARED_DEGREE = 4  #: of the ports with which levels are compared: the coarsest grid knows no more
