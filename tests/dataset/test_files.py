@@ -231,7 +231,10 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     numbers = np.loadtxt(lines, delimiter=",", dtype=np.float32)
     assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
     assert read_design(tmp_path / "own.toml") == data.design
+    noted = "# of batch 7\n" + (tmp_path / "own.toml").read_text(encoding="utf-8")
+    (tmp_path / "own.toml").write_text(noted, encoding="utf-8")
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.parquet", "-q")
+    assert (tmp_path / "own.toml").read_text(encoding="utf-8") == noted
     with pytest.raises(FileFormatError, match=r"own.parquet: of tables CSV alone is read: write it as .csv"):
         read_samples(tmp_path / "own.parquet")
     table = pq.read_table(tmp_path / "own.parquet")

@@ -91,10 +91,11 @@ def export(
         to_write("out", path, " ".join(stages.TABLES), (source,))
         samples, beside = stages.read_samples(source), path.with_suffix(".toml")
         if samples.design is not None:
-            if beside.exists() and read_design(beside) != samples.design:
+            if not beside.exists():
+                write_design(samples.design, beside)
+                files.append(beside)
+            elif read_design(beside) != samples.design:
                 raise DesignError(f"{beside} is another design than that of {source}: give another name.")
-            write_design(samples.design, beside)
-            files.append(beside)
             if path.suffix == ".csv":
                 caller.say(f"{path} states no design: give design={beside} to what learns from it")
         advance = caller.bars.begin("export", total=len(samples))
