@@ -1,5 +1,6 @@
 """One contract for data files: NetCDF, zarr and CSV give back what was written, or refuse in one line."""
 
+import gc
 import json
 import pickle
 import shutil
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from dataset import OPEN_OHM, DatasetSettings, Samples, in_memory, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.stored import is_current
-from dataset.table import columns_of, write_table
+from dataset.table import TABLES, columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.design import Unit
@@ -255,6 +256,19 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
         write_table(data, tmp_path / "a.xlsx")
     with pytest.raises(DesignError, match=r"end .* in \.zarr"):
         data.write(tmp_path / "a.nc", dtype="float32")
+
+
+@pytest.mark.parametrize("ending", TABLES)
+def test_a_table_that_is_stopped_leaves_nothing_behind(data, tmp_path, ending):
+    """No file, and no writer that fails once it is forgotten."""
+
+    def stopped(samples):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_table(data, tmp_path / f"a{ending}", stopped)
+    gc.collect()
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("form", FORMS)
