@@ -134,8 +134,9 @@ def train(
     if tool and not shape:
         raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
-        if data is not None or component is not None or response is not None:
-            raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
+        given = {"data": data, "component": component, "response": response} | settings
+        if surplus := [f"{name}=" for name, each in given.items() if each is not None and name not in tool]:
+            raise DesignError(f"touch=True learns from presses of its own: leave {' and '.join(surplus)} out.")
         return _touch_decoder(design, path, shape or (), tool)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")

@@ -234,7 +234,7 @@ def dataset(
 
 def _divided(settings: DatasetSettings, share: float) -> tuple[DatasetSettings, DatasetSettings]:
     """Settings of samples to learn from, and of those to test with: other loads of the same sensor."""
-    n_test = round(share * settings.samples)
+    n_test = round(share * settings.samples) if 0 < share < 1 else 0
     if not 0 < n_test < settings.samples:
         raise DesignError(
             f"test_share={share:g} of {settings.samples} samples leaves none for tests, or none to learn from: give "
