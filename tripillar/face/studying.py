@@ -148,8 +148,7 @@ def sweep(
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
         caller.say(line)
-    within = stages.ranked(rows, asked)
-    return [*within, *(row for row in rows if row not in within)]
+    return [*{row.cache_key: row for row in (*stages.ranked(rows, asked), *rows)}.values()]
 
 
 def _best_of(rows: "list[stages.Row]", asked: "stages.Sweep", source: Path, path: Path) -> "list[stages.Row]":
