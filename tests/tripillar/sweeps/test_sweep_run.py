@@ -83,6 +83,8 @@ def test_a_sweep_goes_on_and_a_search_finds_its_best(house):
     assert (first["trials"], more["trials"], len(set(rows.keys()) - tried)) == (4, 5, 1)
     assert more["best"]["error_n"] <= first["best"]["error_n"]
     assert read_design(house.folder / "out/pads-best.toml").pad.size_mm == more["best"]["pad.size_mm"]
+    shown = house.tripillar("sweep", "pads.toml", "--optimize", "--best", "2", "-q").stdout
+    assert shown.startswith("The 2 designs of least error")
 
 
 @pytest.mark.filterwarnings("ignore:.*failed, such as")
