@@ -75,7 +75,7 @@ def assess_predictions(
         )
     axes = "".join(axis for k, axis in enumerate(AXES) if not np.isnan(predicted_n[..., k]).all())
     component = next((each for each in COMPONENTS.values() if "".join(each.axes) == axes), None)
-    if component is None or np.isnan(predicted_n[..., [AXES.index(axis) for axis in component.axes]]).any():
+    if component is None or not np.isfinite(predicted_n[..., [AXES.index(axis) for axis in component.axes]]).all():
         raise SampleError(
             f"the predictions are of axes '{axes}', some not of every sample: give all three, or one alone, and NaN "
             "along the others."

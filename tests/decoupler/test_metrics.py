@@ -133,6 +133,9 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     dims = ("sample", "row", "col", "axis")
     xr.Dataset({"force_n": (dims, model.forces(data.resistance_ohm))}).to_netcdf(tmp_path / "own.nc")
     found = tp.evaluate(predictions=tmp_path / "own.nc", data=data, response=solved)
+    turned = xr.load_dataset(tmp_path / "own.nc").isel(axis=[2, 0, 1]).assign_coords(axis=["z", "x", "y"])
+    turned.to_netcdf(tmp_path / "turned.nc")
+    assert tp.evaluate(predictions=tmp_path / "turned.nc", data=data, response=solved) == found
     for name, one in found.items():
         assert (one.errors, one.limits, one.ratio) == (own[name].errors, own[name].limits, own[name].ratio)
         assert one.coverage == ()
@@ -147,6 +150,7 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     for wrong, said in (
         (fz_alone[:-1], "one for each sample"),
         (data.force_n * [1, 1, np.nan], "all three, or one alone"),
+        (data.force_n + [0, 0, np.inf], "all three, or one alone"),
     ):
         with pytest.raises(SampleError, match=said):
             tp.evaluate(predictions=wrong, data=data, limits=False)

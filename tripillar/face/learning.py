@@ -249,7 +249,9 @@ def evaluate(
     if predictions is not None:
         samples = samples_of(data)
         solved = stages.response_of(samples, name, samples.design, response) if limits else None
-        assessed = Evaluation(stages.assess_predictions(_predicted(predictions), samples, solved))
+        if isinstance(predictions, Path | str):
+            predictions = stages.read_predictions(Path(predictions))
+        assessed = Evaluation(stages.assess_predictions(np.asarray(predictions, float), samples, solved))
         caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
         return assessed
     assert model is not None  # there are neither folds nor predictions
@@ -269,14 +271,6 @@ def evaluate(
     _mention_untrusted(decoupler)
     caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed
-
-
-def _predicted(source: "FloatArray | File") -> "FloatArray":
-    """Forces of another program, or those of its file."""
-    if not isinstance(source, Path | str):
-        return np.asarray(source, float)
-    wanted = {"force_n": stages.VARIABLES["force_n"].dims}
-    return stages.read_netcdf(Path(source), wanted, "xarray: ds.to_netcdf(FILE)").data_vars["force_n"].values
 
 
 def _cross_validated(
