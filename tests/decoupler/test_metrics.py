@@ -150,7 +150,7 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     for wrong, said in (
         (fz_alone[:-1], "one for each sample"),
         (data.force_n * [1, 1, np.nan], "all three, or one alone"),
-        (data.force_n + [0, 0, np.inf], "all three, or one alone"),
+        (data.force_n * [1, 1, np.inf], "all three, or one alone"),
     ):
         with pytest.raises(SampleError, match=said):
             tp.evaluate(predictions=wrong, data=data, limits=False)

@@ -242,7 +242,7 @@ dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,9,q -> --dead-pil
 dataset --protocol contact --samples 5 -o x.nc --design small.toml -q --test-share nan -> --test-share nan of 5 samples
 dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
 train --touch --design stiff.toml --shape small.toml -o m.safetensors -> --shape is of bare rubber
-train --touch --design small.toml --hidden 3 -o m.safetensors -> --touch learns from presses of its own: leave --hidden out
+train --touch --design small.toml --hidden 3 -o m.safetensors -> presses of its own: leave --hidden out
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 identify --data semi.csv -o m.safetensors -> semi.csv: has no column force_0_0_x_n of 1 × 1 units
