@@ -4,6 +4,7 @@ import gc
 import json
 import pickle
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -225,6 +226,11 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     assert (single.dtype, single[:].displacement_mm) == (np.float32, None)
     assert np.array_equal(single[:].length_mm, data.length_mm.astype(np.float32))
     assert single.content_hash != data.content_hash
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "pyarrow", None)
+        assert "pip install 'tripillar[sweep]'" in House(tmp_path).refusal(
+            "export", "a.zarr", "-o", "own.parquet", "-q"
+        )
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.csv", "-q")
     assert told == {"file": "own.csv", "samples": 5, "columns": 54}
     names, *lines = (tmp_path / "own.csv").read_text().splitlines()
