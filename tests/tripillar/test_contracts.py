@@ -230,7 +230,7 @@ solve idle.toml --json --vtu never.vtu -> add a [[probe]]
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
 response --out r.csv --design small.toml -> --out r.csv must be a file that ends in .nc
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
-press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
+press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius.
 dataset --samples 5 -o x.nc -> --protocol is missing: one of independent-fz, independent-fx, contact-fz
 dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
 dataset --protocol contact --samples 5 -o data.nc --design data.nc -> data.nc is read by this command
@@ -287,6 +287,7 @@ live text.txt --model model.safetensors --calibration text.json -> text.json is 
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
 tare missing -o text.json -> the file exists: build on it by --calibration
 board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
+board --pressure 20 --design small.toml --board python -q -> --pressure 20.0 must be from 0 to 10
 board --period 0 -> --period 0 must be from 0.1 to 600 s
 """
 CASES = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
