@@ -58,7 +58,7 @@ def require_sound(
             continue
         kind = next((one for one in (int, float) if spec.type in (one, one | None)), float if count > 1 else None)
         if kind is None:
-            choices = asked.get("of") or (value,)
+            choices = (*asked.get("of", ()),) or (value,)
             said = "" if value in choices else f"one of {', '.join(choices)}"
         else:
             is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)

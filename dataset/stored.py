@@ -16,7 +16,7 @@ from common.storage.files import digest
 from common.storage.netcdf import Content, Named, labelled, read_netcdf
 from common.storage.seal import say_made_anew
 from common.storage.text_file import require_bounded, tables_of
-from dataset.imperfections import stated_imperfections
+from dataset.imperfections import PAPERS, stated_imperfections
 from dataset.leaves import HASHES, HEADER_HASH, LEAF_SIZE, is_zarr, leaves_hash, n_leaves, open_zarr
 from dataset.samples import WHOLE_FILE, AnySamples, Choice, SampleError, Samples
 from dataset.table import read_csv
@@ -190,6 +190,12 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
         kept = {name: value for name, value in samples.made_from.items() if name not in WHOLE_FILE}
         return replace(samples, made_from=kept)
     return samples
+
+
+def read_predictions(path: Path) -> FloatArray:
+    """Forces (n, rows, cols, 3) [N] of another program's NetCDF file, labelled or x, y, z; errors as of the samples."""
+    read = read_netcdf(path, {"force_n": VARIABLES["force_n"].dims}, "xarray: ds.to_netcdf(FILE)")
+    return np.asarray(_contract(path, read, PAPERS).data_vars["force_n"].values, np.float64)
 
 
 def is_current(path: Path, cache_key: str) -> bool:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import chain, product
 from pathlib import Path
 from typing import IO
@@ -80,17 +80,16 @@ def _appending(file: IO[bytes], suffix: str) -> Iterator[Callable[[Mapping[str, 
     with needing("Parquet", "sweep"):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    writers: list[pq.ParquetWriter] = []
+    with ExitStack() as opened:  # ends a table that stays unfinished, too, which else its writer would do later
+        writers: list[pq.ParquetWriter] = []
 
-    def append(rows: Mapping[str, FloatArray]) -> None:
-        table = pa.table(dict(rows))
-        if not writers:
-            writers.append(pq.ParquetWriter(file, table.schema))
-        writers[0].write_table(table)
+        def append(rows: Mapping[str, FloatArray]) -> None:
+            table = pa.table(dict(rows))
+            if not writers:
+                writers.append(opened.enter_context(pq.ParquetWriter(file, table.schema)))
+            writers[0].write_table(table)
 
-    yield append
-    for writer in writers:
-        writer.close()
+        yield append
 
 
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], Layout]:

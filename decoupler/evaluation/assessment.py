@@ -65,7 +65,7 @@ def assess_predictions(
 ) -> dict[str, Assessment]:
     """Assess forces (n, rows, cols, 3) [N] that another program predicts for data; NaN along axes that it leaves out.
 
-    Beside the same limits as a model's, of all pillars that `data` can read; other shapes are a `SampleError`.
+    Beside the same limits as a model's, of those pillars that `data` can read; other shapes are a `SampleError`.
     """
     whole = data[:]
     if predicted_n.shape != whole.force_n.shape:
@@ -75,14 +75,15 @@ def assess_predictions(
         )
     axes = "".join(axis for k, axis in enumerate(AXES) if not np.isnan(predicted_n[..., k]).all())
     component = next((each for each in COMPONENTS.values() if "".join(each.axes) == axes), None)
-    if component is None or np.isnan(predicted_n[..., [AXES.index(axis) for axis in component.axes]]).any():
+    if component is None or not np.isfinite(predicted_n[..., [AXES.index(axis) for axis in component.axes]]).all():
         raise SampleError(
             f"the predictions are of axes '{axes}', some not of every sample: give all three, or one alone, and NaN "
             "along the others."
         )
     errors = component_errors(predicted_n[..., [AXES.index(axis) for axis in component.axes]], whole, component)
     found = {name: Assessment(errors=each) for name, each in errors.items()}
-    return _compared(found, component, data, ~data.is_dead.reshape(-1), response, {})
+    readable = ~data.is_dead[..., component.pillars(data.layout)].reshape(-1)
+    return _compared(found, component, data, readable, response, {})
 
 
 def _compared(

@@ -180,10 +180,10 @@ def _of_loads(pairs: Pairs, component: Component, forward: SensorModel) -> str |
     worst = int(np.abs(logs).argmax())
     name = pairs.names[int(np.flatnonzero(acts)[is_told][worst])]
     is_kgf = np.abs(np.abs(logs) - math.log(KGF_N)).max() < math.log(MAX_TIMES) and np.ptp(np.sign(logs)) == 0
-    kgf = f" All loads seem to be {'too small' if logs[0] > 0 else 'too large'} by 9.8, as kgf are" if is_kgf else ""
+    kgf = f"; all loads seem to be {'too small' if logs[0] > 0 else 'too large'} by 9.8, as kgf are" if is_kgf else ""
     return (
-        f"load '{name}' changed the resistances by {100 * max(multiple[worst], 0.0):.0f} % of what it should: is it on "
-        f"the sensor, on that pad, and in newtons (grams for a weight)?{kgf}"
+        f"load '{name}' changed the resistances by {100 * max(multiple[worst], 0.0):.0f} % of what it should: put it "
+        f"on the sensor, on that pad, and state it in newtons, weights in grams{kgf}"
     )
 
 

@@ -22,7 +22,7 @@ from geometry.layout import FloatArray
 
 VERSION = 8  #: raise when the same design and settings give another response, so that cached ones are not reused
 CELL_VERSION = 11  #: the same of refined cells
-TWO_RUBBERS = 2  #: and of responses of pillars of another rubber, whose cells change more often
+MESHED = 2  #: and of responses of pillars of another rubber and of CAD solids, whose cells change more often
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
@@ -77,7 +77,8 @@ def array_response(
 def response_cache_key(design: SensorDesign, settings: ResponseSettings) -> str:
     """Hash of all that a response depends on: what bends of the design, the settings, the version."""
     stated = asdict(settings.suited(design)) | {"element": "Q2", "far": True, "mesh": None}  # as in older files
-    return digest("response", VERSION, bent(design), stated, *([] if design.is_homogeneous else [TWO_RUBBERS]))
+    is_grid = design.is_homogeneous and settings.method != "tetrahedra"
+    return digest("response", VERSION, bent(design), stated, *([] if is_grid else [MESHED]))
 
 
 def solve_response(

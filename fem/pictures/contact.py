@@ -85,11 +85,13 @@ def _draw_patch(axes: "Axes", contact: Contact) -> None:
     axes.figure.colorbar(shown, ax=axes, label="pressure [MPa]", shrink=0.85)
 
     def around(cells: NDArray[np.bool_], label: str, **look: Any) -> "QuadContourSet":
-        """A line around cells, its corners rounded."""
+        """A closed line around cells, its corners rounded; where they end with what is shown, along that edge."""
         axes.plot([], [], **look, label=label)
-        smooth = gaussian_filter(cells.astype(float), ROUNDED)
-        look = {"colors": [look["color"]], "linewidths": look["linewidth"]}
-        return axes.contour(patch.x_mm, patch.y_mm, smooth, levels=[0.5], **look)
+        smooth = np.pad(gaussian_filter(cells.astype(float), ROUNDED), 1)
+        x, y = (np.pad(at, 1, "reflect", reflect_type="odd") for at in (patch.x_mm, patch.y_mm))
+        drawn = axes.contour(x, y, smooth, levels=[0.5], colors=[look["color"]], linewidths=look["linewidth"])
+        axes.axis(box)
+        return drawn
 
     edge = around(state != OPEN, "edge of the contact", color=INK, linewidth=1.2)
     shown.set_clip_path(edge.get_paths()[0], axes.transData)

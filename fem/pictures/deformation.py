@@ -193,10 +193,10 @@ def scale_bar(points_mm: FloatArray, camera: Camera) -> FloatArray:
     return np.vstack([ends, ends - 3 * away])
 
 
-def add_words(plotter: pv.Plotter, words: Mapping[str, FloatArray], height_mm: float) -> list[vtkFollower]:
+def add_words(plotter: pv.Plotter, words: Iterable[tuple[str, FloatArray]], height_mm: float) -> list[vtkFollower]:
     """Write words, each about a place (3,), with letters of a height that turn with the camera."""
     written = []
-    for word, place_mm in words.items():
+    for word, place_mm in words:
         letters = vtkFollower()
         letters.SetMapper(pv.DataSetMapper(pv.Text3D(word, depth=0.0, height=height_mm)))
         letters.SetPosition(*place_mm)
@@ -280,7 +280,7 @@ class DeformedPicture:
             if not is_bare:
                 self.plotter.add_lines(bar_mm[:2], color=INK, width=2 * self._line)
                 said, size_mm = f"{np.linalg.norm(bar_mm[1] - bar_mm[0]):g} mm", np.ptp(body_mm, axis=0).max()
-                add_words(self.plotter, {said: bar_mm[[0, 2]].mean(axis=0)}, LETTER * size_mm)
+                add_words(self.plotter, [(said, bar_mm[[0, 2]].mean(axis=0))], LETTER * size_mm)
                 self.plotter.enable_anti_aliasing("msaa" if medium == "film" else "ssaa", all_renderers=False)
                 self.plotter.subplot(2 * row, column)
                 text = self.plotter.add_text(

@@ -64,7 +64,7 @@ class Motion:
 class PressAndSlide(Sound):
     """A round indenter comes down on one corner of the array, slides to the opposite one, and lifts."""
 
-    peak_mpa: float = quantity(
+    pressure_mpa: float = quantity(
         PAPERS.middle_mpa, "pressure under its middle [MPa], 0 at rest; the paper uses 1 to 5", within=(0, 10)
     )
     friction: float = quantity(0.2, "shear over pressure while it slides", within=(0, 1))
@@ -75,7 +75,7 @@ class PressAndSlide(Sound):
     def tractions(self, time_s: FloatArray, design: SensorDesign) -> FloatArray:
         """Traction on every pad at each time, (n,) -> (n, n_units, 3) [MPa]; z negative when pushing down."""
         phase = 6.0 * (time_s / self.seconds % 1.0)  # rest until 1, down until 2, slide until 5, lift until 6
-        pressure = np.interp(phase, [0, 1, 2, 5, 6], [0, 0, self.peak_mpa, self.peak_mpa, 0])
+        pressure = np.interp(phase, [0, 1, 2, 5, 6], [0, 0, self.pressure_mpa, self.pressure_mpa, 0])
         drag = self.friction * np.interp(phase, [0, 2, 2.2, 4.8, 5, 6], [0, 0, 1, 1, 0, 0])
         way = np.interp(phase, [0, 2, 5, 6], [0, 0, 1, 1])[:, None]
         centres = unit_centres(design)[:, :2]

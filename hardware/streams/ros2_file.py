@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,7 @@ class Ros2Writer:
 @contextmanager
 def ros2_stream(sensor: SensorDescription, path: Path) -> Iterator[Ros2Writer]:
     """Write the forces of scans into a new file as they come, as long as the with block lasts; a `Stream`."""
+    Ros2Writer(BytesIO(), sensor)  # refuses what it cannot write before there is a file
     make_file(path)
     with path.open("wb") as file, closing(Ros2Writer(file, sensor, lambda: require_room(path))) as writer:
         yield writer

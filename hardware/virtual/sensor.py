@@ -306,7 +306,8 @@ class VirtualSensor:
 
     def strains(self, force_n: Tensor) -> Tensor:
         """Largest strain |l − l₀|/l₀ of any pillar, (e,); beyond 0.3 the linear model is not to be trusted."""
-        lengths = self._shape.lengths(force_n.reshape(self.environments, -1)).reshape(-1, *self._pillars)
+        columns = self._own(force_n, "force_n", len(AXES)).reshape(self.environments, -1)
+        lengths = self._shape.lengths(columns).reshape(-1, *self._pillars)
         return (lengths / self._like.new_tensor(rest_lengths(self.design.unit)) - 1.0).abs().amax(dim=(1, 2, 3))
 
     def read(self, resistance_ohm: Tensor) -> Tensor:

@@ -1,8 +1,10 @@
 """One contract for data files: NetCDF, zarr and CSV give back what was written, or refuse in one line."""
 
+import gc
 import json
 import pickle
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from hypothesis import strategies as st
 from dataset import OPEN_OHM, DatasetSettings, Samples, in_memory, read_samples, simulate
 from dataset.leaves import LEAF
 from dataset.stored import is_current
-from dataset.table import columns_of, write_table
+from dataset.table import TABLES, columns_of, write_table
 from dataset.variables import LABELS, VARIABLES
 from geometry import DesignError, FileFormatError, TriPillarError, design_from_toml
 from geometry.design import Unit
@@ -224,6 +226,11 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     assert (single.dtype, single[:].displacement_mm) == (np.float32, None)
     assert np.array_equal(single[:].length_mm, data.length_mm.astype(np.float32))
     assert single.content_hash != data.content_hash
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "pyarrow", None)
+        assert "pip install 'tripillar[sweep]'" in House(tmp_path).refusal(
+            "export", "a.zarr", "-o", "own.parquet", "-q"
+        )
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.csv", "-q")
     assert told == {"file": "own.csv", "samples": 5, "columns": 54}
     names, *lines = (tmp_path / "own.csv").read_text().splitlines()
@@ -231,7 +238,10 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
     numbers = np.loadtxt(lines, delimiter=",", dtype=np.float32)
     assert np.array_equal(numbers[:, names.split(",").index("force_1_2_z_n")], data.force_n[:, 1, 2, 2].astype("f4"))
     assert read_design(tmp_path / "own.toml") == data.design
+    noted = "# of batch 7\n" + (tmp_path / "own.toml").read_text(encoding="utf-8")
+    (tmp_path / "own.toml").write_text(noted, encoding="utf-8")
     told = House(tmp_path).result("export", "a.zarr", "-o", "own.parquet", "-q")
+    assert (tmp_path / "own.toml").read_text(encoding="utf-8") == noted
     with pytest.raises(FileFormatError, match=r"own.parquet: of tables CSV alone is read: write it as .csv"):
         read_samples(tmp_path / "own.parquet")
     table = pq.read_table(tmp_path / "own.parquet")
@@ -252,6 +262,19 @@ def test_tables_are_for_other_programs_and_theirs_are_read_by_their_columns(data
         write_table(data, tmp_path / "a.xlsx")
     with pytest.raises(DesignError, match=r"end .* in \.zarr"):
         data.write(tmp_path / "a.nc", dtype="float32")
+
+
+@pytest.mark.parametrize("ending", TABLES)
+def test_a_table_that_is_stopped_leaves_nothing_behind(data, tmp_path, ending):
+    """No file, and no writer that fails once it is forgotten."""
+
+    def stopped(samples):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_table(data, tmp_path / f"a{ending}", stopped)
+    gc.collect()
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("form", FORMS)

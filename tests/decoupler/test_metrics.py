@@ -133,15 +133,24 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     dims = ("sample", "row", "col", "axis")
     xr.Dataset({"force_n": (dims, model.forces(data.resistance_ohm))}).to_netcdf(tmp_path / "own.nc")
     found = tp.evaluate(predictions=tmp_path / "own.nc", data=data, response=solved)
+    turned = xr.load_dataset(tmp_path / "own.nc").isel(axis=[2, 0, 1]).assign_coords(axis=["z", "x", "y"])
+    turned.to_netcdf(tmp_path / "turned.nc")
+    assert tp.evaluate(predictions=tmp_path / "turned.nc", data=data, response=solved) == found
     for name, one in found.items():
         assert (one.errors, one.limits, one.ratio) == (own[name].errors, own[name].limits, own[name].ratio)
         assert one.coverage == ()
     fz_alone = np.where([False, False, True], data.force_n, np.nan)
     (one,) = tp.evaluate(predictions=fz_alone, data=data, limits=False).values()
     assert one.errors.rmse_n == 0
+    pressed = replace(labelled(sensor(1, 2), "z", 60, seed=2), noise=1e-3)
+    of_fz = tp.train(pressed[:30], "fz", hidden=2, max_iterations=3, response=solved)
+    own_n = np.where([False, False, True], of_fz.forces(pressed.resistance_ohm), np.nan)
+    one = tp.evaluate(predictions=own_n, data=pressed, response=solved)["fz"]
+    assert (one.limits, one.ratio) == ((own := tp.evaluate(of_fz, pressed, response=solved)["fz"]).limits, own.ratio)
     for wrong, said in (
         (fz_alone[:-1], "one for each sample"),
         (data.force_n * [1, 1, np.nan], "all three, or one alone"),
+        (data.force_n * [1, 1, np.inf], "all three, or one alone"),
     ):
         with pytest.raises(SampleError, match=said):
             tp.evaluate(predictions=wrong, data=data, limits=False)

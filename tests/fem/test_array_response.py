@@ -47,6 +47,15 @@ def test_a_response_is_found_again_if_nothing_that_bends_the_body_changed():
     assert len(keys | {response_cache_key(UNIT, ResponseSettings(tolerance=1e-2))}) == 4
 
 
+def test_a_response_is_not_found_again_once_its_cells_are_solved_otherwise(monkeypatch):
+    """On grids they are as they were when cells on meshes that fit pillars, or of CAD solids, change."""
+    two, by_cad = replace(UNIT, matrix_material=Material(poisson=0.4)), ResponseSettings(method="tetrahedra")
+    asked = (two, ResponseSettings()), (UNIT, by_cad), (UNIT, ResponseSettings())
+    before = [response_cache_key(*each) for each in asked]
+    monkeypatch.setattr("fem.array.solving.MESHED", 99)
+    assert [response_cache_key(*each) == old for each, old in zip(asked, before, strict=True)] == [False, False, True]
+
+
 def test_cells_in_the_middle_of_an_array_answer_like_the_endless_layer(shared_cache):
     """The layer is exact far from the rim, which leaves little in the middle of 5 × 5 units; cells err by 1 %."""
     design = SensorDesign(array=Array(rows=5, cols=5))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from matplotlib.figure import Figure
 
 from common.errors import DesignError
 from fem.array.solving import ResponseSettings, array_response
@@ -26,6 +27,7 @@ from fem.contact.compliance import PatchCompliance
 from fem.contact.indentation import OPEN, STICK, State
 from fem.contact.surface import MESH_LEVEL, NEAR_DEGREE
 from fem.contact.tiles import Patch, cell_rectangles, on_pillars, shares_by_rubber, tiles_per_pitch
+from fem.pictures.contact import _draw_patch
 from geometry.design import Array, Material, SensorDesign, Unit
 from geometry.layout import pad_squares
 
@@ -64,6 +66,20 @@ def test_a_sphere_on_the_thin_slab_is_ngsolve_s():
     assert error < min(1.5e-3, contact.error_estimate)
     assert contact.error_estimate < 0.01
     assert (np.sqrt(contact.area_mm2 / np.pi), contact.peak_mpa) == pytest.approx((4.392, 2.4944), rel=1e-2)
+
+
+def test_a_picture_shows_the_pressure_of_a_contact_up_to_the_end_of_the_rubber(pair: SurfaceCompliance):
+    """Under an endless cylinder as under a round one: all cells that touch lie within the line around them."""
+    contact, axes = press(pair, Cylinder(10.0), 0.5, cells=24), Figure().subplots()
+    _draw_patch(axes, contact)
+    x, y = np.broadcast_arrays(contact.patch.x_mm, contact.patch.y_mm[:, None])
+    (around,) = axes.collections[0].get_paths()
+    within = around.contains_points(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+    touches = contact.state != OPEN
+    assert touches.any(axis=0).all()
+    assert within[touches].mean() > 0.95  # corners are rounded
+    assert not within[~touches].any()
+    assert axes.axis() == pytest.approx(np.column_stack([contact.patch.low_mm, contact.patch.high_mm]).ravel())
 
 
 def test_the_estimate_covers_what_finer_grids_and_increments_change(pair: SurfaceCompliance):

@@ -125,7 +125,7 @@ def test_letters_beside_a_body_face_the_camera_and_its_scale_bar_is_of_a_round_l
     start, end, *_ = scale_bar(body_mm, camera)
     assert np.ptp([start, end], axis=0).max() == np.linalg.norm(end - start) == pytest.approx(10.0)
     place(plotter.camera, body_mm, *VIEWS[camera], 1.0)
-    (letters,) = add_words(plotter, {"z": start}, height_mm=1.0)
+    (letters,) = add_words(plotter, [("z", start)], height_mm=1.0)
     for _ in range(2):
         letters.ComputeMatrix()
         right, up, toward = pv.array_from_vtkmatrix(letters.GetMatrix())[:3, :3].T

@@ -40,7 +40,7 @@ def nonsense(spec):
         said = f" must be from {within[0]:g} to {within[1]:g}; {spec.metadata['meaning']}"
         yield from ((value, said) for value in (within[0] - 1, within[1] + 1))
     if spec.metadata.get("of"):
-        yield "ogden", f" must be one of {', '.join(spec.metadata['of'])}"
+        yield from ((value, f" must be one of {', '.join(spec.metadata['of'])}") for value in ("ogden", ["linear"]))
 
 
 #: (kind, field, value, what is said): of every field that states a bound; `cad` is given them by file, too

@@ -72,7 +72,7 @@ def test_gains_and_offsets_are_found():
         ([NOTHING, KILOS], [NOTHING, NOTHING], 1.0, CHANGED.format(KILOS)),
         ([NOTHING, KILOS, "1 2 5000"], [NOTHING, "1 2 5000", KILOS], 1.0, CHANGED.format(".*")),
         ([NOTHING, "0 1 50000"], [NOTHING, "0 1 50"], 1.0, CHANGED.format("0 1 50000")),
-        ([NOTHING, "0 1 500"], [NOTHING, "0 1 4903"], 1.0, ".* All loads seem to be too small by 9.8, as kgf are."),
+        ([NOTHING, "0 1 500"], [NOTHING, "0 1 4903"], 1.0, ".*; all loads seem to be too small by 9.8, as kgf are. Or"),
         ([NOTHING, "0 1 5"], [NOTHING, "0 1 5000"], 1.0, r"no load is large enough .* newtons, weights in grams"),
         ([NOTHING, KILOS], None, 1e-3, "resistances are 0.001.* times those of the design: .* 1000 is kΩ for Ω"),
         ([NOTHING, KILOS], None, 3.0, r"resistances are 3\.?\d* times those of the design: check .*resistivity\. Or"),
@@ -83,5 +83,5 @@ def test_what_cannot_be_is_refused_unless_forced(told, acting, times, says):
     with pytest.raises(FileFormatError, match=says) as refused:
         fitted(pairs)
     assert str(refused.value).endswith("Or write it as it is with force=True.")
-    assert "\n" not in str(refused.value)
+    assert not {"\n", "?"} & {*str(refused.value)}
     fitted(pairs, force=True)

@@ -21,7 +21,7 @@ from tests.decoupler.synthetic_sensor import RESPONSE, conducted
 def test_the_script_presses_slides_and_lifts_over_and_over():
     """At rest nothing acts; sliding, shear is friction times pressure, along the way; the peak is under its middle."""
     design = SensorDesign(array=Array(rows=3, cols=3))
-    script, times_s = PressAndSlide(peak_mpa=2.0, friction=0.25, seconds=6.0), np.array([0.5, 1.5, 3.5, 5.99])
+    script, times_s = PressAndSlide(pressure_mpa=2.0, friction=0.25, seconds=6.0), np.array([0.5, 1.5, 3.5, 5.99])
     traction = script.tractions(times_s, design)
     assert not traction[0].any()
     assert traction[1, 0, 2] == pytest.approx(-1.0)  # half-way down on the first unit
@@ -30,9 +30,9 @@ def test_the_script_presses_slides_and_lifts_over_and_over():
     assert np.abs(traction[3]).max() < 0.03
     assert np.abs(traction).argmax() // 27 == 2
     assert script.tractions(times_s + 6.0, design) == pytest.approx(traction)
-    assert not PressAndSlide(peak_mpa=0.0).tractions(times_s, design).any()
-    with pytest.raises(DesignError, match="peak_mpa"):
-        PressAndSlide(peak_mpa=np.nan)
+    assert not PressAndSlide(pressure_mpa=0.0).tractions(times_s, design).any()
+    with pytest.raises(DesignError, match="pressure_mpa"):
+        PressAndSlide(pressure_mpa=np.nan)
 
 
 @pytest.mark.parametrize("law", ["eq1", "conduction"])

@@ -141,9 +141,11 @@ def test_a_file_is_never_overwritten_and_ends_with_a_full_disk(board, tmp_path, 
 @pytest.mark.parametrize(("package", "stream"), [("websockets", FoxgloveStream), ("rerun", RerunStream)])
 def test_what_cannot_be_streamed_is_refused(board, monkeypatch, tmp_path, package, stream):
     """A sensor of unknown pads, a port that is taken, a package that is missing; no file is left."""
-    unknown = vars(board.description) | {"position_mm": np.full((2, 3, 3), np.nan)}
+    unknown = type(board.description)(**vars(board.description) | {"position_mm": np.full((2, 3, 3), np.nan)})
     with pytest.raises(DesignError, match="model states no design"):
-        stream(type(board.description)(**unknown))
+        stream(unknown)
+    with pytest.raises(DesignError, match="model states no design"):
+        ros2_stream(unknown, tmp_path / "never.mcap").__enter__()
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

@@ -125,6 +125,10 @@ def test_point_forces_keep_their_sum_and_their_moment(response):
     centres = torch.stack(torch.meshgrid(torch.tensor([-7.5, 7.5]), torch.tensor([-15.0, 0, 15]), indexing="ij"), -1)
     moments = torch.einsum("nrc,rca->na", pads[..., 2], centres.flip(-1).double())
     torch.testing.assert_close(moments, torch.einsum("nk,nka->na", force_n[..., 2], points))
+    strains = sensor(response).strains(pads)
+    torch.testing.assert_close(sensor(response).strains(pads.float()), strains, rtol=1e-6, atol=0.0)
+    with pytest.raises(ArgumentError, match="expected"):
+        sensor(response).strains(pads[..., :2])
 
 
 def test_each_reset_draws_other_specimens(response, samples):

@@ -230,7 +230,7 @@ solve idle.toml --json --vtu never.vtu -> add a [[probe]]
 response --out r.nc --design small.toml --tolerance 0 -> --tolerance 0 must be above 0 and below 1
 response --out r.csv --design small.toml -> --out r.csv must be a file that ends in .nc
 press --depth 0.5 --design small.toml --shape sphere -> needs --radius
-press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius
+press --shape sphere --radius 5 --depth 1 --length 3 -> --length is not of --shape sphere, which takes --radius.
 dataset --samples 5 -o x.nc -> --protocol is missing: one of independent-fz, independent-fx, contact-fz
 dataset --protocol contact --samples 99999999999999999999999 -o x.nc -> must be from 1 to 1e+09
 dataset --protocol contact --samples 5 -o data.nc --design data.nc -> data.nc is read by this command
@@ -239,8 +239,10 @@ dataset --protocol contact --samples 5 -o x.zarr --only force,ohm -> no variable
 dataset --protocol contact --samples 5 -o x.nc --workers 2 -> belong to --strain finite and to directories
 dataset --protocol contact --samples 1000000000 -o x.nc -> end the file's name in .zarr, or keep less of them by --only
 dataset --protocol contact --samples 5 -o x.nc --dead-pillar 9,9,q -> --dead-pillar 9,9,q names no pillar
+dataset --protocol contact --samples 5 -o x.nc --design small.toml -q --test-share nan -> --test-share nan of 5 samples
 dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
 train --touch --design stiff.toml --shape small.toml -o m.safetensors -> --shape is of bare rubber
+train --touch --design small.toml --hidden 3 -o m.safetensors -> presses of its own: leave --hidden out
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 identify --data semi.csv -o m.safetensors -> semi.csv: has no column force_0_0_x_n of 1 × 1 units
@@ -252,6 +254,8 @@ identify --data data.nc -o x.safetensors --pairs 5 -> --pairs 5 must be at most 
 identify --data data.nc --design square.toml -o x.safetensors -> data.nc is of 1 × 2 units, the design of 3 × 3
 identify --as-designed --data semi.csv --twin t.toml -o x.json -> --as-designed makes no model: leave --twin out
 identify --data data.nc -o x.safetensors --noise 0.1 -> --noise goes with --as-designed alone
+identify --next 1 --twin t.toml --design small.toml -> --twin needs pairs: give --data or --port too
+identify --next 1 --loads semi.csv --design small.toml -> --loads needs pairs: give --data or --port too
 identify --next 101 -> --next 101 must be from 0 to 100
 identify --as-designed --port text.txt -o x.json -> a recording needs --loads with the columns from_s and to_s
 rubber -o r.toml -> give --data of a bench series
@@ -283,6 +287,7 @@ live text.txt --model model.safetensors --calibration text.json -> text.json is 
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded
 tare missing -o text.json -> the file exists: build on it by --calibration
 board --board python -q --design small.toml --link small.toml -> --link small.toml exists and is no link
+board --pressure 20 --design small.toml --board python -q -> --pressure 20.0 must be from 0 to 10
 board --period 0 -> --period 0 must be from 0.1 to 600 s
 """
 CASES = [line.split(" -> ") for line in REFUSED.strip().splitlines()]

@@ -141,7 +141,7 @@ def spelled(text: str, flags: Mapping[str, str]) -> str:
         text = re.sub(rf"\b{name}=True\b", flag, text)
         text = re.sub(rf"\b{name}=False\b", no, text)
         text = re.sub(rf"\b{name}=['\"]([^'\"]*)['\"]", rf"{flag} \1", text)
-        text = re.sub(rf"\b{name}=(?=[^\s,;:)])", f"{flag} ", text)
+        text = re.sub(rf"\b{name}=(?!\.?([\s,;:)]|$))", f"{flag} ", text)
         text = re.sub(rf"\b{name}=", flag, text)
     return text
 

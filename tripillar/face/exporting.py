@@ -93,12 +93,13 @@ def export(
         if samples.design is not None:
             if beside.exists() and read_design(beside) != samples.design:
                 raise DesignError(f"{beside} is another design than that of {source}: give another name.")
-            write_design(samples.design, beside)
-            files.append(beside)
             if path.suffix == ".csv":
                 caller.say(f"{path} states no design: give design={beside} to what learns from it")
         advance = caller.bars.begin("export", total=len(samples))
         columns = stages.write_table(samples, path, lambda n: advance(n, ""))
+        if samples.design is not None and not beside.exists():
+            write_design(samples.design, beside)
+            files.append(beside)
         result |= {"samples": len(samples), "columns": len(columns)}
         text = f"{len(samples)} samples, {len(columns)} columns"
     caller.answer(lambda: result, text, *files)

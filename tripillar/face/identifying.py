@@ -292,12 +292,13 @@ def identify_as_typed(
     """
     have, noise, out = more.pop("have", None), more.pop("noise", None), more.get("out")
     is_empty = more.get("data") is None and more.get("port") is None
+    of_pairs = next((f"{name}=" for name, each in more.items() if each and name not in ("design", "usual")), "")
     of_model = [f"{name}=" for name in OF_MODEL if more.get(name) is not None]
     of_model += ["next_loads="] if next_loads else []
     for is_wrong, said in (
         (is_empty and not next_loads, "give data= or port=; next_loads= alone says where to begin."),
         (out is None and not next_loads, "give out= for the model, or next_loads= for the loads to measure."),
-        (is_empty and out is not None, "out= needs pairs: give data= or port= too."),
+        (is_empty and of_pairs, f"{of_pairs} needs pairs: give data= or port= too."),
         (have is not None and not next_loads,
          "have= goes with next_loads= alone: it says of what the loads to propose are made."),
         (not 0 <= next_loads <= MAX_NEXT, f"next_loads={next_loads} must be from 0 to {MAX_NEXT}."),

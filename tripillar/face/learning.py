@@ -134,8 +134,9 @@ def train(
     if tool and not shape:
         raise DesignError("turn_deg=, unit= and scale= are of tools: give shape=, their files, too.")
     if touch:
-        if data is not None or component is not None or response is not None:
-            raise DesignError("touch=True learns from presses of its own: leave data=, component= and response= out.")
+        given = {"data": data, "component": component, "response": response} | settings
+        if surplus := [f"{name}=" for name, each in given.items() if each is not None and name not in tool]:
+            raise DesignError(f"touch=True learns from presses of its own: leave {' and '.join(surplus)} out.")
         return _touch_decoder(design, path, shape or (), tool)
     if shape:
         raise DesignError("shape= is of decoders of touch: give touch=True with it.")
@@ -248,7 +249,9 @@ def evaluate(
     if predictions is not None:
         samples = samples_of(data)
         solved = stages.response_of(samples, name, samples.design, response) if limits else None
-        assessed = Evaluation(stages.assess_predictions(_predicted(predictions), samples, solved))
+        if isinstance(predictions, Path | str):
+            predictions = stages.read_predictions(Path(predictions))
+        assessed = Evaluation(stages.assess_predictions(np.asarray(predictions, float), samples, solved))
         caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
         return assessed
     assert model is not None  # there are neither folds nor predictions
@@ -268,14 +271,6 @@ def evaluate(
     _mention_untrusted(decoupler)
     caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed
-
-
-def _predicted(source: "FloatArray | File") -> "FloatArray":
-    """Forces of another program, or those of its file."""
-    if not isinstance(source, Path | str):
-        return np.asarray(source, float)
-    wanted = {"force_n": stages.VARIABLES["force_n"].dims}
-    return stages.read_netcdf(Path(source), wanted, "xarray: ds.to_netcdf(FILE)").data_vars["force_n"].values
 
 
 def _cross_validated(

@@ -25,6 +25,7 @@ from tripillar.face.inputs import (
     design_of,
     imperfections,
     job,
+    to_write,
 )
 
 if TYPE_CHECKING:
@@ -120,10 +121,15 @@ def dataset(
     >>> len(samples), samples.resistance_ohm.shape
     (50, (50, 1, 2, 3))
     """
-    caller, path = current(), None if out is None else Path(out)
+    caller, path, beside = current(), None if out is None else Path(out), None
     in_leaves = path is not None and stages.is_zarr(path)
-    if path is not None:
-        stages.require_zarr_place(path) if in_leaves else stages.require_dtype(dtype, path)
+    if test_share is not None:
+        if path is None:
+            raise DesignError("test_share= writes a file beside out=: give out=, too.")
+        beside = path.with_name(f"{path.stem}-test{path.suffix}")
+        to_write("test_share", beside, read=(design, loads))
+    for place in filter(None, (path, beside)):
+        stages.require_zarr_place(place) if in_leaves else stages.require_dtype(dtype, place)
     sensor, twin, solved = _sensor(design)
     stages.require_pool(workers, scheduler)
     names = None if only is None else _variables(only)
@@ -187,22 +193,19 @@ def dataset(
             if path is not None and in_leaves:
                 story = stages.make_directory(leaves, path, workers, scheduler, lambda n: advance(n, ""))
                 stored = stages.read_samples(path)
-                write_text(stored.card(), path.with_name(f"{path.stem}-README.md"))  # in it zarr takes none
+                card = path.with_name(f"{path.stem}-README.md")  # in it zarr takes none
+                if story["kept"] < settings.samples or not card.exists():  # else a licence may be filled in
+                    write_text(stored.card(), card)
                 return stored, story
             made = leaves.whole(lambda n: advance(n, ""))
         if path is not None:
             made.write(path, dtype)
         return made, made.made_from | {"kept": 0}
 
-    files = [path]
     made: stages.Samples | stages.StoredSamples
     if test_share is not None:
-        if path is None:
-            raise DesignError("test_share= writes a file beside out=: give out=, too.")
         settings, of_test = _divided(settings, test_share)
-        beside = path.with_name(f"{path.stem}-test{path.suffix}")
         simulated(of_test, beside)
-        files.append(beside)
     made, story = simulated(settings, path)
     samples = settings.samples
     result = {"file": str(out), "samples": samples, "redrawn": story["redrawn"], "recipe": story["recipe"]}
@@ -228,13 +231,13 @@ def dataset(
         )
     result |= {} if in_time else {"redrawn_share": redrawn}
     line += "" if test_share is None else f"\n{of_test.samples} more for tests, under loads of their own"
-    caller.answer(lambda: result, f"{said}{line}", *files)
+    caller.answer(lambda: result, f"{said}{line}", path, beside)
     return made
 
 
 def _divided(settings: DatasetSettings, share: float) -> tuple[DatasetSettings, DatasetSettings]:
     """Settings of samples to learn from, and of those to test with: other loads of the same sensor."""
-    n_test = round(share * settings.samples)
+    n_test = round(share * settings.samples) if 0 < share < 1 else 0
     if not 0 < n_test < settings.samples:
         raise DesignError(
             f"test_share={share:g} of {settings.samples} samples leaves none for tests, or none to learn from: give "

@@ -106,14 +106,14 @@ def board(
     electronics = stages.Electronics(**WIRES.of(more))
     replace(electronics.crossbar(info), noise=noise)  # refuses nonsense before anything takes time
     own = Imperfections(**imperfections(SPECIMEN.of(more)))
-    asked_mpa = {} if pressure_mpa is None else {"peak_mpa": pressure_mpa}
+    asked_mpa = {} if pressure_mpa is None else {"pressure_mpa": pressure_mpa}
     script = stages.PressAndSlide(seconds=period_s, **asked_mpa)
     if design is None or isinstance(design, SensorDesign | Path | str):
         response = stages.respond(design_of(design), caller.bars)[1]
     else:
         response = design
     if pressure_mpa is None and (loads := stages.loads_of(response)) != stages.PAPERS:
-        script = replace(script, peak_mpa=loads.middle_mpa)
+        script = replace(script, pressure_mpa=loads.middle_mpa)
         caller.say(f"the design does not bear the paper's loads; the indenter presses with {loads.middle_mpa:.3g} MPa")
     seen = replace(response, design=stages.seen_by(electronics.crossbar(info), response.design))
     motion, shunts = stages.press_and_slide(seen, script, own), stages.shunts_of(seen.design)

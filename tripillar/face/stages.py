@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from dataset.protocols import INDENT, PROTOCOLS, forces
     from dataset.samples import ENOUGH, AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.simulation import require_memory
-    from dataset.stored import StoredSamples, in_memory, read_samples
+    from dataset.stored import StoredSamples, in_memory, read_predictions, read_samples
     from dataset.table import TABLES, holds_samples, write_table
-    from dataset.variables import ARRAYS, VARIABLES
+    from dataset.variables import ARRAYS
     from decoupler.data.columns import Columns, acting_component, component_named
     from decoupler.data.load_table import KnownLoad, read_loads, read_pairs
     from decoupler.data.pairs import Pairs
@@ -76,7 +76,6 @@ if TYPE_CHECKING:
     from fem.scene.solution import Solution, solution_as_plain
     from geometry.design_file import states_twin
     from geometry.mould import write_cad
-    from common.storage.netcdf import read_netcdf
     from common.pool import open_pool, require_pool
     from hardware.boards.simulated import (
         PressAndSlide, counts_over_time, press_and_slide, run_board, suited_kind, usual_rate, write_truth,

@@ -125,7 +125,7 @@ def sweep(
     with last_words(STOPPED.format(journal.folder)), stages.open_pool(workers, scheduler) as pool:
         if optimize:
             rows = stages.search(asked, pool, journal, _shown("trials", asked.samples))
-            return _best_of(rows, asked, source, folder / f"{source.stem}-best.toml")
+            return _best_of(rows, asked, source, folder / f"{source.stem}-best.toml", best)
         by_key = stages.kept_rows(samples, journal, retry)
         missing = [sample for sample in samples if sample.cache_key not in by_key]
         by_key |= stages.judge_all(missing, asked.judging, pool, journal, _shown("designs", len(missing)))
@@ -148,12 +148,13 @@ def sweep(
         caller.say(f"{len(each)} failed, such as: {each[0]}")
     for line in stages.untold(rows, asked):
         caller.say(line)
-    within = stages.ranked(rows, asked)
-    return [*within, *(row for row in rows if row not in within)]
+    return [*{row.cache_key: row for row in (*stages.ranked(rows, asked), *rows)}.values()]
 
 
-def _best_of(rows: "list[stages.Row]", asked: "stages.Sweep", source: Path, path: Path) -> "list[stages.Row]":
-    """The designs within bounds that a search tried, the best one first, which is written."""
+def _best_of(
+    rows: "list[stages.Row]", asked: "stages.Sweep", source: Path, path: Path, count: int
+) -> "list[stages.Row]":
+    """The designs within bounds that a search tried, the best one first, which is written; so many are shown."""
     best = stages.ranked(rows, asked)
     if all(row.failed for row in rows):
         raise DesignError(f"all {len(rows)} designs of {source} failed, such as: {rows[0].reason}")
@@ -161,7 +162,7 @@ def _best_of(rows: "list[stages.Row]", asked: "stages.Sweep", source: Path, path
         raise DesignError(f"none of {len(rows)} designs is within the bounds of {source}: loosen them or try more.")
     write_text(best[0].design or "", path)
     result = {"trials": asked.samples, "designs": len(rows), "best": best[0].flat(asked.metrics), "file": str(path)}
-    current().answer(lambda: result, lambda: stages.best_tables(rows, asked, 5), path)
+    current().answer(lambda: result, lambda: stages.best_tables(rows, asked, count), path)
     return best
 
 

@@ -104,18 +104,25 @@ def test_nothing_is_left_of_what_cannot_begin(tmp_path):
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 def test_samples_for_tests_are_of_the_same_sensor_under_other_loads(tmp_path, suffix):
     house = House(tmp_path)
-    told = house.result(
+    words = (
         "dataset", "--design", "small.toml", "--protocol", "contact", "--samples", "50", "--test-share", "0.2",
         "--gain-spread", "0.1", "-o", f"data{suffix}",
     )  # fmt: skip
+    told = house.result(*words)
     assert (told["samples"], told["test_samples"], told["test_file"]) == (40, 10, f"data-test{suffix}")
     learned, tested = (read_samples(house.folder / f"data{part}{suffix}")[:] for part in ("", "-test"))
     assert (len(learned), len(tested)) == (40, 10)
     assert not np.isin(tested.force_n[tested.force_n != 0], learned.force_n).any()
     assert learned.made_from["specimen"] == tested.made_from["specimen"]
     if suffix == ".zarr":
-        card = (house.folder / "data-README.md").read_text()
-        assert card.startswith("# 40 samples of 1 × 2 units, contact\n")
+        card = house.folder / "data-README.md"
+        assert card.read_text().startswith("# 40 samples of 1 × 2 units, contact\n")
+        card.write_text(licensed := card.read_text().replace("to be filled in by", "CC0, chosen by"))
+        house.result(*words)
+        assert card.read_text() == licensed
+    (house.folder / f"other-test{suffix}").mkdir()
+    (house.folder / f"other-test{suffix}/notes.txt").touch()
+    assert f"other-test{suffix} is a folder" in house.refusal(*words[:-1], f"other{suffix}")
 
 
 def test_a_table_of_loads_is_divided_between_samples_to_learn_from_and_for_tests(tmp_path):

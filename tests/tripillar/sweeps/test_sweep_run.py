@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+import tripillar as tp
 from common.pool import WorkerLost, open_pool
 from common.storage.journal import Journal
 from fem.array.closed_forms import layer_response
@@ -20,7 +21,7 @@ from tripillar.sweeps.optimize import START, search
 from tripillar.sweeps.rows import Row
 from tripillar.sweeps.run import judge_all, kept_rows
 from tripillar.sweeps.sampling import samples_of
-from tripillar.sweeps.sweep_file import sweep_from_dict
+from tripillar.sweeps.sweep_file import read_sweep, sweep_from_dict
 from tripillar.sweeps.trade_offs import best_tables, draw_pareto
 
 GRID = sweep_from_dict(
@@ -82,6 +83,22 @@ def test_a_sweep_goes_on_and_a_search_finds_its_best(house):
     assert (first["trials"], more["trials"], len(set(rows.keys()) - tried)) == (4, 5, 1)
     assert more["best"]["error_n"] <= first["best"]["error_n"]
     assert read_design(house.folder / "out/pads-best.toml").pad.size_mm == more["best"]["pad.size_mm"]
+    shown = house.tripillar("sweep", "pads.toml", "--optimize", "--best", "2", "-q").stdout
+    assert shown.startswith("The 2 designs of least error")
+
+
+@pytest.mark.filterwarnings("ignore:.*failed, such as")
+def test_a_sweep_gives_the_best_first_and_the_others_as_they_were_drawn(house, monkeypatch):
+    """No row is compared with all others: of 100,000 that would take 20 minutes."""
+    monkeypatch.setattr(Row, "__eq__", lambda *_: pytest.fail("compared"))
+    rows = tp.sweep(house.folder / "pads.toml", out=house.folder / "out")
+    drawn = samples_of(read_sweep(house.folder / "pads.toml"))
+    best = sorted(
+        (row for row in rows if (row.metrics.get("range_n") or 0.0) >= 400.0), key=lambda row: row.metrics["error_n"]
+    )
+    assert rows[: len(best)] == best
+    others = [sample.cache_key for sample in drawn if sample.cache_key not in {row.cache_key for row in best}]
+    assert [row.cache_key for row in rows[len(best) :]] == others
 
 
 def test_designs_that_all_fail_say_why(house):

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import pyvista as pv
 
 from dataset.loads import displacements
 from dataset.protocols import PROTOCOLS, forces
@@ -29,7 +30,7 @@ from tests.tripillar.viewer.conftest import DESIGN, a_feed, a_scan
 from tripillar.viewer.page import sensing
 from tripillar.viewer.page.page import Page
 from tripillar.viewer.page.pictures import Pictures
-from tripillar.viewer.page.scene import MIN_SHARE, TITLES, ArrayScene
+from tripillar.viewer.page.scene import LETTER, MIN_SHARE, TITLES, ArrayScene, unit_names
 from tripillar.viewer.page.sensing import PressedSensor, SensorFeed, inverse_forces, moments, tractions
 
 SQUARE = SensorDesign(array=Array(rows=2, cols=2))
@@ -52,6 +53,14 @@ def test_forces_that_no_pillar_bears_are_numbers_but_no_picture(subject, force_n
     assert (shown["half_width_n"], shown["moment_nmm"], shown["moment_half_width_nmm"]) == ([], [], [])
     assert (moved_mm > 0.1) == is_drawn
     assert ("at rest" in shown["strain_note"]) != is_drawn
+
+
+def test_numbers_of_the_columns_of_a_wide_array_stand_apart():
+    design = SensorDesign(array=Array(rows=1, cols=16))
+    *words, _ = [word for word, _ in unit_names(design)]
+    high = [pv.Text3D(word, depth=0.0, height=LETTER * max(design.slab_mm)).bounds for word in words]
+    half_mm = np.array([bounds[1] - bounds[0] for bounds in high]) / 2
+    assert (half_mm[1:] + half_mm[:-1]).max() < design.array.pitch_mm
 
 
 def test_moments_of_pressure_are_those_about_the_axes():

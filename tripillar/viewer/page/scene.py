@@ -67,7 +67,7 @@ class ArrayScene:
         self._border = np.concatenate([around[0], around[1:, -1], around[-1, -2::-1], around[-2:0:-1, 0]])
         self.mark = pv.lines_from_points(rest[self._pads].points_mm[self._border], close=True)  #: of the chosen pad
         self.plotter.add_mesh(self.mark, color=CHOSEN, line_width=4)
-        self.reach_mm = np.vstack([rest["matrix"].points_mm, *names.values()])
+        self.reach_mm = np.vstack([rest["matrix"].points_mm, *(place for _, place in names)])
         self.camera = Camera(self.plotter.camera)
         self.full_size = cache(self._full_size)  #: of a quantity, its largest value at full scale
         self.look_from_the_start()
@@ -124,12 +124,12 @@ class ArrayScene:
             self.look_from_the_start()
 
 
-def unit_names(design: SensorDesign) -> dict[str, FloatArray]:
-    """Places (3,) [mm] of the names of rows and columns as numbered in files, right of the array and before it."""
+def unit_names(design: SensorDesign) -> list[tuple[str, FloatArray]]:
+    """Numbers of rows and columns as in files, the first with its word, and their places (3,) [mm] beside the array."""
     wide, deep, _ = np.array(design.slab_mm) / 2 + BESIDE * LETTER * max(design.slab_mm)
     x, y = unit_centres(design).reshape(design.array.rows, design.array.cols, 2).transpose(2, 0, 1)
-    columns = {f"col {j}": np.array([at, -deep, 0.0]) for j, at in enumerate(x[0])}
-    return columns | {f"row {i}": np.array([wide, at, 0.0]) for i, at in enumerate(y[:, 0])}
+    columns = [(str(j) if j else "col 0", np.array([at, -deep, 0.0])) for j, at in enumerate(x[0])]
+    return columns + [(str(i) if i else "row 0", np.array([wide, at, 0.0])) for i, at in enumerate(y[:, 0])]
 
 
 class Camera:
