@@ -110,6 +110,22 @@ def shared_cache(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def coarse(own_cache: Path) -> Iterator[None]:
+    """Let a test reuse arrays that others have solved coarsely: where how well is not on trial."""
+    from tests.house import coarse
+
+    with coarse():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def quick_examples(request: pytest.FixtureRequest) -> None:
+    """Examples of Python's names show what these give, of coarse arrays."""
+    if request.node.nodeid.startswith("tripillar/"):
+        request.getfixturevalue("coarse")
+
+
+@pytest.fixture
 def few_potentials(shared_cache: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Conduction at finite strain by two typical samples on a coarse mesh, in seconds: at rest it is as exact."""
     monkeypatch.setattr("fem.finite.samples.TYPICAL", 2)
