@@ -119,10 +119,13 @@ def coarse(own_cache: Path) -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def quick_examples(request: pytest.FixtureRequest) -> None:
-    """Examples of Python's names show what these give, of coarse arrays."""
+def quick_examples(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Examples of Python's names show what these give: of coarse arrays, and without processes that load torch."""
     if request.node.nodeid.startswith("tripillar/"):
+        from tests.studies.one_process import one_after_another
+
         request.getfixturevalue("coarse")
+        monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
 
 
 @pytest.fixture

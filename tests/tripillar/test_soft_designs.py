@@ -122,8 +122,11 @@ def test_a_press_that_moves_the_top_by_more_than_a_fifth_of_its_height_is_warned
         assert ("mm, over 0.2 of the slab's height of 10 mm" in said) == is_far, said
 
 
-def test_another_law_is_pressed_at_finite_strain_and_with_friction_by_its_tangent_at_rest_which_is_said(house):
+def test_another_law_is_pressed_at_finite_strain_and_with_friction_by_its_tangent_at_rest_which_is_said(
+    house, monkeypatch
+):
     """The tangent's contact is linear rubber's; the response says what it is, too."""
+    monkeypatch.setattr("fem.contact.finite.CELLS", (2, 3))
     text = (house.folder / "soft.toml").read_text().replace("young_mpa", 'model = "neo-hookean"\nyoung_mpa')
     (house.folder / "neo.toml").write_text(text)
     ball = "press", "--shape", "sphere", "--radius", "10", "--depth", "2", "--json", "--design"
