@@ -26,6 +26,8 @@ COARSE = {
     "fem.array.design_cell.CAD_LEVEL": 1.0,  # of finer edges, but of fewer tetrahedra
     "fem.array.sensitivities.LEVEL": 1,
     "fem.array.sensitivities.DEGREE": 4,
+    "fem.contact.surface.GRID_LEVEL": 1,
+    "fem.contact.surface.GRID_DEGREE": 4,
 }
 
 COARSE_CACHE = f"{os.environ['TRIPILLAR_TESTS']}/coarse"
