@@ -4,6 +4,7 @@ A method takes a series x (n,), what it is to give y (n,), and the step [s], and
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -77,10 +78,10 @@ def gru(x: FloatArray, y: FloatArray, _step_s: float) -> Applied:
         return out(torch.cat([net(of)[0], of[..., :1]], dim=-1))[..., 0]
 
     known, wanted = seen(x), torch.tensor((y - y.mean()) / y.std(), dtype=torch.float32)
-    weights = [*net.parameters(), *out.parameters()]
+    weights: list[torch.Tensor] = [*net.parameters(), *out.parameters()]
     mean, square = ([torch.zeros_like(one) for one in weights] for _ in range(2))
     steps = [torch.tensor(0.0) for _ in weights]
-    usual = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8, "weight_decay": 0.0, "amsgrad": False, "maximize": False}
+    usual: Any = dict(beta1=0.9, beta2=0.999, eps=1e-8, weight_decay=0.0, amsgrad=False, maximize=False)
     window, generator = min(WINDOW, len(x)), np.random.default_rng(0)
     for step in range(STEPS):
         rate = 5e-3 * (1.0 - 0.9 * step / STEPS)
@@ -90,7 +91,8 @@ def gru(x: FloatArray, y: FloatArray, _step_s: float) -> Applied:
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         with torch.no_grad():
-            adam(weights, [one.grad for one in weights], mean, square, [], steps, lr=rate, **usual)
+            slopes = [one.grad for one in weights if one.grad is not None]
+            adam(weights, slopes, mean, square, [], steps, lr=rate, **usual)
         net.zero_grad()
         out.zero_grad()
 
