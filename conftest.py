@@ -77,10 +77,9 @@ def pytest_unconfigure() -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Look for garbage after it alone, and never again in what there is by then: a twentieth of the time each."""
+    """Look for no garbage in what there is after it: it is little, and each look takes a twentieth of the time."""
     gc.disable()
     result = yield
-    gc.collect()
     gc.freeze()
     gc.enable()
     return result
@@ -107,6 +106,25 @@ def own_cache(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 def shared_cache(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a test reuse what others have solved; not for tests that change how it is solved, or look into the cache."""
     monkeypatch.setenv("TRIPILLAR_CACHE", str(SHARED / "cache"))
+
+
+@pytest.fixture
+def coarse(own_cache: Path) -> Iterator[None]:
+    """Let a test reuse arrays that others have solved coarsely: where how well is not on trial."""
+    from tests.house import coarse
+
+    with coarse():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def quick_examples(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Examples of Python's names show what these give: of coarse arrays, and without processes that load torch."""
+    if request.node.nodeid.startswith("tripillar/"):
+        from tests.studies.one_process import one_after_another
+
+        request.getfixturevalue("coarse")
+        monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
 
 
 @pytest.fixture

@@ -20,7 +20,6 @@ from common.storage.files import digest
 from common.threads import one_blas_thread
 from dataset.histories import between, programme
 from dataset.imperfections import Imperfections
-from dataset.indentation import VERSION, indented, tiled_lengths
 from dataset.loads import displacements
 from dataset.measurement import Readout
 from dataset.memory import relaxed_forces, remembered
@@ -50,9 +49,12 @@ def dataset_cache_key(response: ArrayResponse, settings: DatasetSettings, readou
     """Hash of all that a dataset depends on."""
     settings = settings.suited(response)
     through: list[Any] = [] if readout is None else [readout]
-    through += (
-        [INDENT, VERSION] if settings.protocol == INDENT else scaled_indenters(settings.protocol, response.design)
-    )
+    if settings.protocol == INDENT:
+        from dataset.indentation import VERSION  # loads contact, half of a process's start
+
+        through += [INDENT, VERSION]
+    else:
+        through += scaled_indenters(settings.protocol, response.design)
     return digest("dataset", METHOD, BLOCK, response.content_hash, response.design, settings, *through)
 
 
@@ -332,6 +334,8 @@ def _block(
     """All samples of one block by variable, and how often each was redrawn; contacts only as far as wanted."""
     design = response.design
     if settings.protocol == INDENT:
+        from dataset.indentation import indented, tiled_lengths
+
         draw: Draw = indented(design, settings.seed, settings.cap, number, kept)
     else:
         draw = _pad_loads(response, settings, settings.seed, number)

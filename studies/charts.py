@@ -1,8 +1,9 @@
 """The look of all charts of the studies, and the writing of a picture."""
 
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from common.storage.files import replacing
 
@@ -33,11 +34,12 @@ def finish(figure: "Figure", path: Path) -> None:
 
 def image_of(figure: "Figure") -> "Image":
     """A figure as pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    with BytesIO() as drawn:
-        figure.savefig(drawn, format="png")
-        return Image.open(drawn).convert("RGB")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # once; `savefig` draws for the layout and then again
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 def save(figure: "Figure", path: Path) -> None:

@@ -192,9 +192,10 @@ def test_what_is_typed_plainly_loads_neither_a_parser_nor_what_it_does_not_need(
     assert not {*LEFT_OUT, *PLAIN[typed]} & {*done.stderr.split()}, done.stderr
 
 
-def test_replay_loads_no_torch_and_training_no_cad_and_no_mesher():
+def test_replay_loads_no_torch_training_no_cad_and_no_mesher_and_loads_on_pads_no_contact():
     assert loaded_by("import hardware", ["fem", "torch", "xarray"]).stderr.strip() == ""
-    assert loaded_by("import decoupler.training, hardware", ["build123d", "skfem", "pyvista"]).stderr.strip() == ""
+    code, names = "import decoupler.training, hardware, dataset.simulation", ["build123d", "skfem", "pyvista"]
+    assert loaded_by(code, [*names, "fem.contact"]).stderr.strip() == ""
 
 
 #: modules and names that Windows lacks

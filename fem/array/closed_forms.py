@@ -243,7 +243,7 @@ def _gauss(size: float) -> tuple[FloatArray, FloatArray]:
 def _rest(x: FloatArray, y: FloatArray, poisson: float) -> FloatArray:
     """Layer minus half-space, 2πG·height times displacement per newton, shape (3, 3, ...); x and y in heights."""
     r = np.hypot(x, y)
-    isotropic, shear, cross, normal = _splined(np.minimum(r, MAX_DISTANCE), *_radial(poisson))
+    isotropic, shear, cross, normal = _splined(np.minimum(r, MAX_DISTANCE), _radial(poisson))
     far = r > MAX_DISTANCE  # the layer is still: take the half-space away
     if far.any():
         R = r[far]
@@ -258,8 +258,8 @@ def _rest(x: FloatArray, y: FloatArray, poisson: float) -> FloatArray:
 
 
 @lru_cache(maxsize=16)
-def _radial(poisson: float) -> tuple[FloatArray, FloatArray]:
-    """Four functions of r/h and their second derivatives for `_splined`, (4, n) each, at steps of `STEP`.
+def _radial(poisson: float) -> FloatArray:
+    """Four functions of r/h for `_splined`: coefficients of a cubic spline at steps of `STEP`, (4 powers, 4, n).
 
     Isotropic and deviatoric (over r²) of the tangential block, cross (over r), normal. Hankel transforms
     ∫ Jₙ(q r) δ(q) dq: (δ_l + δ_t)/2 with J0, (δ_l − δ_t)/2 with J2, δ_c with J1, δ_n with J0.
@@ -287,13 +287,18 @@ def _radial(poisson: float) -> tuple[FloatArray, FloatArray]:
     bands[1, 1:-1], bands[1, [0, -1]], bands[0, 1], bands[2, -2] = 4.0, 6.0, 0.0, 0.0  # not-a-knot: linear at the ends
     inner = solve_banded((1, 1), bands, 6 / STEP**2 * np.diff(values, 2).T).T
     ends = 2 * inner[:, [0, -1]] - inner[:, [1, -2]]
-    return values, np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
+    bends = np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1) * STEP**2 / 6
+    low, up = bends[:, :-1], bends[:, 1:]
+    return np.stack([values[:, :-1], np.diff(values) - 2 * low - up, 3 * low, up - low])
 
 
-def _splined(r: FloatArray, values: FloatArray, bends: FloatArray) -> FloatArray:
-    """Cubic splines (k, ...) at r of functions (k, n) with these second derivatives at steps of `STEP` from 0."""
-    low = np.minimum((r / STEP).astype(int), values.shape[1] - 2)
-    up = r / STEP - low
-    down = 1 - up
-    line = down * values[:, low] + up * values[:, low + 1]
-    return line + STEP**2 / 6 * ((down**3 - down) * bends[:, low] + (up**3 - up) * bends[:, low + 1])
+def _splined(r: FloatArray, powers: FloatArray) -> FloatArray:
+    """Cubic splines (k, ...) at r by coefficients (4, k, n) of the powers of what r is over its step of `STEP`."""
+    steps = r / STEP
+    low = np.minimum(steps.astype(np.int32), powers.shape[2] - 1)
+    over = steps - low
+    found = powers[3].take(low, axis=1)
+    for each in powers[2::-1]:
+        found *= over
+        found += each.take(low, axis=1)
+    return found

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from common.errors import DesignError
 from common.quantity import quantity, require_sound
@@ -75,7 +74,6 @@ class Crossbar:
     - FOUR_WIRE: the same circuit, and taps at the pillar's own electrodes, each with a switch, whose voltage is the
       converter's reference. x = −A R_s / (1 + A) · N_cr / (K_rr − K_cr), K = (1 + R L)⁻¹. Neither switches and wires in
       the current's way nor contacts show; what is left is what other rows' pillars carry.
-
     - PLAIN: no circuit, x = R / R_s; no count but full scale is a bound, and 0 stands for half a step.
 
     N is the admittance matrix between the ends of the wires: N = L (1 + R L)⁻¹, L the conductance matrix (Laplacian) of
@@ -147,6 +145,8 @@ class Crossbar:
     @cached_property
     def _joined(self) -> FloatArray:
         """1 between wires that pillars or shunts join, by whatever way, 0 between others, (n_wires, n_wires)."""
+        from scipy.sparse.csgraph import connected_components  # takes a quarter of the start of `tripillar info`
+
         found = (self._between < len(self.ends[0])).reshape((sum(self.wires),) * 2)
         _, group = connected_components(found + self.shunt_matrix if self.shunt_siemens else found)
         return np.asarray(group[:, None] == group, dtype=np.float64)

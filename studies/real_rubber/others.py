@@ -4,6 +4,7 @@ A method takes a series x (n,), what it is to give y (n,), and the step [s], and
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -61,6 +62,7 @@ def by_ridge(features: Features) -> Method:
 def gru(x: FloatArray, y: FloatArray, _step_s: float) -> Applied:
     """A gated recurrent unit that sees x and its change, and learns from windows by Adam."""
     import torch
+    from torch.optim.adam import adam  # the class of that name loads torch's compiler, in 2 s
 
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -76,17 +78,23 @@ def gru(x: FloatArray, y: FloatArray, _step_s: float) -> Applied:
         return out(torch.cat([net(of)[0], of[..., :1]], dim=-1))[..., 0]
 
     known, wanted = seen(x), torch.tensor((y - y.mean()) / y.std(), dtype=torch.float32)
-    adam = torch.optim.Adam([*net.parameters(), *out.parameters()])
+    weights: list[torch.Tensor] = [*net.parameters(), *out.parameters()]
+    mean, square = ([torch.zeros_like(one) for one in weights] for _ in range(2))
+    steps = [torch.tensor(0.0) for _ in weights]
+    usual: Any = dict(beta1=0.9, beta2=0.999, eps=1e-8, weight_decay=0.0, amsgrad=False, maximize=False)
     window, generator = min(WINDOW, len(x)), np.random.default_rng(0)
     for step in range(STEPS):
-        adam.param_groups[0]["lr"] = 5e-3 * (1.0 - 0.9 * step / STEPS)
+        rate = 5e-3 * (1.0 - 0.9 * step / STEPS)
         begins = [0, *generator.integers(0, len(x) - window + 1, BATCH - 1)]
         given, asked = (torch.stack([of[k : k + window] for k in begins]) for of in (known, wanted))
         loss = ((answered(given) - asked)[:, window // 4 :] ** 2).mean()
-        adam.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-        adam.step()
+        with torch.no_grad():
+            slopes = [one.grad for one in weights if one.grad is not None]
+            adam(weights, slopes, mean, square, [], steps, lr=rate, **usual)
+        net.zero_grad()
+        out.zero_grad()
 
     def applied(other: FloatArray) -> FloatArray:
         with torch.no_grad():

@@ -9,7 +9,7 @@ from tests.docs.terminal import ROOT
 
 
 @pytest.fixture
-def printed_by(tmp_path, shared_cache, monkeypatch, capsys):
+def printed_by(tmp_path, coarse, monkeypatch, capsys):
     """Run a script in this process; what it printed."""
     monkeypatch.chdir(tmp_path)
 

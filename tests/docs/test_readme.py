@@ -14,7 +14,6 @@ import tripillar as tp
 from common.pool import open_pool
 from hardware import SensorCalibration, write_calibration
 from tests.docs.terminal import ROOT, Command, Terminal, console_commands, indented_commands, missing
-from tests.fem.scenes import coarse_cells, coarse_responses
 from tests.studies.one_process import one_after_another
 
 README = ROOT / "README.md"
@@ -58,15 +57,13 @@ def test_the_readme_pasted_into_a_shell_runs_without_waiting(tmp_path):
     assert {path.name for path in (tmp_path / "empty").iterdir()} >= MADE | WITH_A_BOARD | {"cad"}
 
 
-def test_the_commands_of_the_readme_run_as_typed(tmp_path, monkeypatch):
+def test_the_commands_of_the_readme_run_as_typed(tmp_path, coarse, monkeypatch):
     """In their order, in an empty folder, but for what is elsewhere; boards in a shell.
 
-    For time, too: coarse cells and small pictures; how well they are solved is not on trial.
+    For time, too: coarse arrays and small pictures.
     """
     monkeypatch.setattr("decoupler.evaluation.crossval.in_parallel", one_after_another)
     monkeypatch.setattr("fem.pictures.deformation.HIGH_PX", 440)
-    coarse_cells(monkeypatch)
-    coarse_responses(monkeypatch)
     here = [line for line in TYPED if line not in ELSEWHERE]
     for words, typed in OTHERWISE.items():
         assert any(re.search(words, line) for line in here)
@@ -105,7 +102,7 @@ def test_a_tutorial_does_what_it_promises(page, at_least, tmp_path, shared_cache
 PROGRAMS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_ten_lines_lead_from_a_design_to_forces_with_error_bars(shared_cache, capsys):
+def test_ten_lines_lead_from_a_design_to_forces_with_error_bars(coarse, capsys):
     """The force is where the error bar says, and errs by no more than the noise and the converter make it."""
     program, _ = PROGRAMS
     assert len([line for line in program.splitlines() if line]) <= 10
@@ -116,7 +113,7 @@ def test_ten_lines_lead_from_a_design_to_forces_with_error_bars(shared_cache, ca
     assert abs(found_n - applied_n) < 4 * half_width_n  # one normal error in 16,000 is larger
 
 
-def test_a_few_lines_read_a_board(tmp_path, shared_cache, monkeypatch):
+def test_a_few_lines_read_a_board(tmp_path, coarse, monkeypatch):
     """Typed where the README's board, model and calibration are; Ctrl-C comes after a press."""
     _, program = PROGRAMS
     assert len([line for line in program.splitlines() if line]) <= 10

@@ -56,11 +56,6 @@ def coarse_cells(patch: pytest.MonkeyPatch, level: int = 1, degree: int = 4) -> 
     patch.setattr("fem.array.design_cell.GRID_DEGREE", degree)
 
 
-def coarse_responses(patch: pytest.MonkeyPatch) -> None:
-    """Answer arrays of one rubber by the coarsest pair of grids, whatever the tolerance, in a cache of their own."""
-    patch.setattr("fem.array.design_cell.GRID_STAGES", {"soft": ((1, 2, 6),) * 3})
-
-
 EXAMPLES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 
 BLOCK = """

@@ -3,20 +3,14 @@
 import json
 from functools import partial
 
-import pytest
-
 from dataset.indentation import drawn_press
 from fem.array.closed_forms import layer_response
 from studies.layouts import layouts
-
-pytestmark = pytest.mark.usefixtures("shared_cache")
 
 
 def test_a_layout_is_judged_by_pads_behind_a_converter_and_by_touch_through_plates(monkeypatch, tmp_path):
     monkeypatch.setattr("studies.layouts.array_response", lambda design: (layer_response(design), None, True))
     monkeypatch.setattr("fem.contact.surface._extrapolated", lambda source: source.condensed(1, 3))
-    monkeypatch.setattr("fem.contact.surface.kept_value", lambda hint, kind, key, make, **_: (make(), None, False))
-    monkeypatch.setattr("decoupler.touch.plates.kept_value", lambda hint, kind, key, make: (make(), None, False))
     monkeypatch.setattr("studies.touched.CELLS", 16)
     monkeypatch.setattr("dataset.indentation.drawn_press", partial(drawn_press, cells=16))
     layouts(["six-pillar"], units=2, samples=300, contacts=2, out=tmp_path)

@@ -135,7 +135,7 @@ def test_what_is_typed_plainly_is_read_as_the_parser_does(name):
     plain = 0
     for key, parameter in PARAMETERS[name].items():
         mark, found = get_args(parameter.annotation)[1], kinds(parameter)
-        values = get_args(found[0]) if get_origin(found[0]) is Literal else PLAIN.get(found[0], ["1"])
+        values = get_args(found[0])[-1:] if get_origin(found[0]) is Literal else PLAIN.get(found[0], ["1"])
         more = [[flag, value] for flag in mark.name or () for value in values] if found != [bool] else []
         more += [[flag] for flag in (*(mark.name or ()), *mark.negative)] if found == [bool] else []
         for words in ([*start, *each] for each in ([], *more) if not {key} & NEEDED.get(name, {}).keys()):

@@ -115,7 +115,7 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
         (house.folder / "m.safetensors").unlink()
 
 
-def test_python_takes_what_the_command_takes(house, monkeypatch):
+def test_python_takes_what_the_command_takes(house, coarse, monkeypatch):
     """Tolerances of a design file, what you have, and any number of samples: of very many a draw."""
     text = (house.folder / "sensor.toml").read_text()
     (house.folder / "exact.toml").write_text(f'{text}\n[tolerance]\n"rubber.young_mpa" = 0\n')

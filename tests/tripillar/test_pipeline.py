@@ -8,8 +8,6 @@ import xarray as xr
 from common.errors import DesignError
 from dataset import read_samples
 from decoupler.model_file import read_model
-from fem.array.solving import ResponseSettings
-from tests.fem.scenes import coarse_responses
 from tests.house import SMALL, House
 from tests.studies.one_process import one_after_another
 from tripillar.pipeline.manufactured import READ, SPECIMEN
@@ -30,15 +28,11 @@ MISTAKES = {
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory):
-    """All that the whole pipeline makes for two units, of fewer samples than the paper's and on coarse grids."""
+    """All that the whole pipeline makes for two units, of fewer samples than the paper's."""
     folder = tmp_path_factory.mktemp("house")
     house = House(folder, folder / "cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tripillar.pipeline.run.SPLITS", {"train": (400, 1), "test": (100, 2)})
-        patch.setattr("tripillar.pipeline.run.SETTINGS", {"soft": ResponseSettings(tolerance=2e-2)})
-        patch.setattr("fem.array.solving.USUAL_TOLERANCES", (0.1, 0.1))
-        patch.setattr("fem.array.design_cell.CAD_LEVEL", 1.0)
-        coarse_responses(patch)
         house.outcome = house.result(*RUN)
         yield house
 

@@ -14,7 +14,6 @@ from dataset.loads import PAPERS, Loads, loads_of
 from decoupler.twin.next_load import loads_at_hand
 from fem.array.closed_forms import layer_response
 from geometry.design import Array, Material, SensorDesign
-from tests.fem.scenes import coarse_cells, coarse_responses
 from tests.house import SMALL, House
 from tripillar.face import twins
 from tripillar.face.caller import Caller, called_by
@@ -28,14 +27,11 @@ AREA_MM2 = DESIGN.pad.size_mm**2
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory):
-    """A folder with a soft design; how finely its array is solved is not on trial."""
+    """A folder with a soft design."""
     folder = tmp_path_factory.mktemp("soft")
     text = f"{SMALL}[matrix_material]\n{RUBBER}[pillar_material]\n{RUBBER}"
     (folder / "soft.toml").write_text(text)
-    with pytest.MonkeyPatch.context() as patch:
-        coarse_cells(patch)
-        coarse_responses(patch)
-        yield House(folder, folder / "cache")
+    return House(folder)
 
 
 def test_a_data_set_is_drawn_within_the_designs_own_range_and_says_so_in_newtons(house):
@@ -79,7 +75,7 @@ def test_a_table_of_loads_is_a_protocol(house):
     assert "protocol 'table' has no such loads on pads: leave it out" in of_range
 
 
-def test_loads_to_measure_next_are_those_that_it_bears(house):
+def test_loads_to_measure_next_are_those_that_it_bears(coarse):
     """15 kg on a pad are 30 times what it bears; a load that it bears is named."""
     said = []
     with called_by(Caller(say=said.append)):
@@ -126,8 +122,11 @@ def test_a_press_that_moves_the_top_by_more_than_a_fifth_of_its_height_is_warned
         assert ("mm, over 0.2 of the slab's height of 10 mm" in said) == is_far, said
 
 
-def test_another_law_is_pressed_at_finite_strain_and_with_friction_by_its_tangent_at_rest_which_is_said(house):
+def test_another_law_is_pressed_at_finite_strain_and_with_friction_by_its_tangent_at_rest_which_is_said(
+    house, monkeypatch
+):
     """The tangent's contact is linear rubber's; the response says what it is, too."""
+    monkeypatch.setattr("fem.contact.finite.CELLS", (2, 3))
     text = (house.folder / "soft.toml").read_text().replace("young_mpa", 'model = "neo-hookean"\nyoung_mpa')
     (house.folder / "neo.toml").write_text(text)
     ball = "press", "--shape", "sphere", "--radius", "10", "--depth", "2", "--json", "--design"

@@ -79,7 +79,7 @@ def test_a_recording_is_replayed_and_shown_with_it(house):
     assert (np.abs(np.array(contact["force_n"]) - net) < 3 * np.array(contact["force_deviation_n"])).all()
 
 
-def test_the_traction_that_is_drawn_carries_the_decoded_force(house):
+def test_the_traction_that_is_drawn_carries_the_decoded_force(house, coarse):
     model = read_touch(house.folder / "touch.safetensors")
     images = draw_ball(model, surface_compliance(model.design)[0], frames=2)
     assert len({image.tobytes() for image in images}) == 2

@@ -67,6 +67,7 @@ def response() -> ArrayResponse:
 def computed(response) -> Computed:
     with pytest.MonkeyPatch.context() as patch, Bars(quiet=True) as bars:
         patch.setattr(spacing, "array_response", of_layer)
+        patch.setattr(spacing, "PLACES", 3)
         patch.setattr(experiments, "in_parallel", one_after_another)
         return Computed(
             response=response,

@@ -16,11 +16,11 @@ from tests.dataset.conftest import made_up_response
 from tests.house import House
 from tripillar.datasets.leaves import LeafJob, make_directory, unfinished
 
-RESPONSE = made_up_response(SensorDesign(array=Array(rows=2, cols=3)))
+RESPONSE = made_up_response(SensorDesign(array=Array(rows=1, cols=2)))
 
 
 def job(samples, **changed):
-    settings = DatasetSettings(protocol="three-axis", samples=samples, seed=7, noise=1e-3, cap=0.25)
+    settings = DatasetSettings(protocol="three-axis", samples=samples, seed=7, noise=1e-3, cap=0.16)
     return LeafJob(response=RESPONSE, settings=settings, **changed)
 
 
@@ -112,7 +112,8 @@ def test_samples_for_tests_are_of_the_same_sensor_under_other_loads(tmp_path, su
     assert (told["samples"], told["test_samples"], told["test_file"]) == (40, 10, f"data-test{suffix}")
     learned, tested = (read_samples(house.folder / f"data{part}{suffix}")[:] for part in ("", "-test"))
     assert (len(learned), len(tested)) == (40, 10)
-    assert not np.isin(tested.force_n[tested.force_n != 0], learned.force_n).any()
+    shears = tested.force_n[..., :2]  # pressures are the largest now and then
+    assert not np.isin(shears[shears != 0], learned.force_n).any()
     assert learned.made_from["specimen"] == tested.made_from["specimen"]
     if suffix == ".zarr":
         card = house.folder / "data-README.md"
