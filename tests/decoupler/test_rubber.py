@@ -33,7 +33,7 @@ def written(path, series, **changes):
 
 @pytest.fixture(scope="module")
 def series():
-    return bench(rate_hz=2.0)
+    return bench(rate_hz=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def found(series):
 
 
 def test_a_rubber_without_noise_comes_back():
-    exact = bench(noise=0.0, rate_hz=2.0)
+    exact = bench(noise=0.0, rate_hz=1.0)
     found = identified(exact)
     off = np.abs(found.numbers - numbers_of(MEMORY))
     assert (off < 3 * np.sqrt(found.covariance.diagonal()) + 1e-6).all()
@@ -62,7 +62,7 @@ def test_a_noisy_one_comes_back_within_its_deviations(found):
     assert found.noise == pytest.approx(NOISE, rel=0.3)
     assert found.young_mpa == pytest.approx(3 * 5.0 / 40.0, rel=0.05)
     assert found.resistivity_ohm_mm == pytest.approx(1200.0 * 40.0 / 20.0, rel=0.03)
-    fresh = bench(seed=1, rate_hz=2.0)
+    fresh = bench(seed=1, rate_hz=1.0)
     assert of_range(resistance_from_strain(found, fresh), fresh.resistance_ohm) < 2.0
 
 
@@ -167,10 +167,10 @@ def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found
 def test_two_ways_of_reading_tell_contacts(series):
     """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
     read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
-    found = identified(read.averaged(16), electrodes_mm=20.0, length_mm=40.0)
+    found = identified(read.averaged(8), electrodes_mm=20.0, length_mm=40.0)
     assert found.contact_ohm == pytest.approx(15e3)
     assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
-    assert identified(read.averaged(16)).contact_ohm is None
+    assert identified(read.averaged(8)).contact_ohm is None
 
 
 @ELASTICS
@@ -193,7 +193,7 @@ def swung(series):
 
 def hit(series):
     strain = series.strain.copy()
-    strain[[500, 1200, 1201]] = 0.0, -0.4, -0.4
+    strain[[250, 600, 601]] = 0.0, -0.4, -0.4
     return strain
 
 
@@ -221,8 +221,9 @@ def test_what_can_be_mended_is_mended_and_said(series, name, tmp_path):
     assert mended.force_n.mean() == pytest.approx(series.force_n.mean(), rel=1e-3)
 
 
-def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
+def test_jitter_of_the_strain_adds_no_way(tmp_path):
     """A noise of 0.03 % alone would break contacts at rest as fast as they heal; the numbers come back without it."""
+    series = bench(rate_hz=2.0)
     jittered = series.strain + 3e-4 * np.random.default_rng(0).standard_normal(len(series))
     mended = read_series(written(tmp_path / "s.csv", series, strain=jittered))
     assert "strain jitters by 0.0002" in mended.notes[0]
@@ -234,7 +235,7 @@ def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
 
 def test_of_few_rows_that_alternate_half_are_left(series, tmp_path):
     """Fewer than a part that may be at rest: the jitter of strain is that of them all."""
-    few = series.part(slice(440, 590))
+    few = series.part(slice(220, 370))
     assert len(read_series(written(tmp_path / "s.csv", few, resistance_ohm=swung(few)))) == 75
 
 
@@ -264,14 +265,13 @@ def runs(series, *between_s):
 #: series, the first rows of their runs that do not begin at rest, what is said of them, and the parts of each step.
 #: Of runs nothing is known in between; between few rows of a strip that moves all the time a curve is followed
 GIVEN = {
-    "gap at rest": (lambda s: s.part((s.time_s < 60) | (s.time_s > 120)), [120], "first from 59.5 s to 120.5 s", 1),
-    "gap in motion": (lambda s: s.part((s.time_s < 238) | (s.time_s > 300)), [476], "first from 237.5 s to 300", 1),
-    "clock again": (lambda s: runs(s, (0, 900), (900, 3000)), [1800], " s to 0 s", 1),
-    "all twice": (lambda s: runs(s, (0, 3000), (0, 3000)), [6000], " s to 0 s", 1),
-    "last first": (lambda s: runs(s, (900, 1700), (0, 900)), [0, 1600], " s to 0 s", 1),
+    "gap at rest": (lambda s: s.part((s.time_s < 120) | (s.time_s > 180)), [120], "first from 119 s to 181 s", 1),
+    "gap in motion": (lambda s: s.part((s.time_s < 238) | (s.time_s > 300)), [238], "first from 237 s to 301 s", 1),
+    "clock again": (lambda s: runs(s, (0, 900), (900, 3000)), [900], " s to 0 s", 1),
+    "all twice": (lambda s: runs(s, (0, 3000), (0, 3000)), [3000], " s to 0 s", 1),
+    "last first": (lambda s: runs(s, (900, 1700), (0, 900)), [0, 800], " s to 0 s", 1),
     "jitter at rest": (lambda _: jittered(), [], "strain jitters by 0.0003", 1),
     "1 Hz": (lambda _: moving(1), [], "", 8),
-    "2 Hz": (lambda _: moving(2), [], "", 8),
     "4 Hz": (lambda _: moving(4), [], "", 8),
     "10 Hz": (lambda _: moving(10), [], "", 1),
 }
@@ -348,7 +348,7 @@ def grouped(cell):
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_tables_are_read_however_they_are_written(series, name, tmp_path, caplog):
-    few = series.part(slice(440, 590))
+    few = series.part(slice(220, 370))
     plain = written(tmp_path / "plain.csv", replace(few, resistance_ohm=1000 * few.resistance_ohm))
     rows = [line.split(",") for line in plain.read_text().splitlines()]
     content = WRITTEN[name](rows)
@@ -379,7 +379,7 @@ REFUSED = {
     "ns for s": (lambda s: {"time_s": 1e9 * s.time_s}, "name the column time_ns"),
     "hours for s": (lambda s: {"time_s": s.time_s / 3600}, "name the column time_h"),
     "ms for min": (lambda s: {"time_s": None, "time_min": 1e3 * s.time_s}, "name the column time_ms"),
-    "days for s": (lambda s: {"time_s": s.time_s / 86400}, "name the column time_d"),
+    "days for s": (lambda s: {"time_s": 0.5 * s.time_s / 86400}, "name the column time_d"),
     "a second": (lambda s: {"time_s": s.time_s / 1e9}, "as no bench reads"),
     "two wires": (
         lambda s: {"two_wire_ohm": 0.6 * s.resistance_ohm},
@@ -396,7 +396,7 @@ REFUSED = {
     "no position": (lambda s: {"strain": s.strain[np.random.default_rng(0).permutation(len(s))]}, "of the specimen"),
     "gaps": (lambda s: s.part(s.time_s % 60 < 30).arrays, "record it again in one go, without gaps"),
     "short runs": (lambda s: runs(s, *((t, t + 40) for t in range(200, 500, 40))).arrays, "too few runs have 100 rows"),
-    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 20 rows"),
+    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 20, s.resistance_ohm, np.nan)}, "has 20 rows"),
 }
 
 
@@ -427,8 +427,8 @@ DOUBTED = {
 @pytest.mark.parametrize("name", DOUBTED)
 def test_a_rubber_that_no_silicone_is_is_doubted(series, name):
     change, says = DOUBTED[name]
-    few = series.part(slice(0, 4000))
-    few = replace(few, **change(few)).averaged(2)
+    few = series.part(slice(0, 2000))
+    few = replace(few, **change(few))
     found = identified(few, section_mm2=40.0, electrodes_mm=20.0, length_mm=40.0)
     assert re.search(says, doubted(found, few, checked(found, few), True))
 
@@ -496,16 +496,17 @@ def loaded(times, strains, apart_s=0.05):
     return time_s, 2 * np.log1p(strain) + 0.001 * generator.standard_normal(strain.shape)
 
 
-@pytest.mark.parametrize("creep", [-0.2, 0.0, 0.1, 0.3])
-def test_a_rubber_that_the_sensor_does_not_have_is_never_applied(creep):
+COURSES = {"slid": ([0.0, 0.5, 1.2, 1.8, 2.6, 3.5], [0, 0, 1, 0.6, 1, 0.3])}
+COURSES |= {str(creep): ([0.0, 1.0, 2.0, 12.0, 12.5, 16.0], [0, 0, 1, 1 + creep, 0, 0]) for creep in (-0.2, 0, 0.1, 0.3)}
+
+
+@pytest.mark.parametrize("course", COURSES)
+def test_a_rubber_that_the_sensor_does_not_have_is_never_applied(course):
     """Pressed and slid without a hold for 3.5 s, or held while the load creeps: readings stay those of eq. 1."""
-    slid = [0.0, 0.5, 1.2, 1.8, 2.6, 3.5], [0, 0, 1, 0.6, 1, 0.3]
-    held = [0.0, 1.0, 2.0, 12.0, 12.5, 16.0], [0, 0, 1, 1 + creep, 0, 0]
-    for course in (slid, held):
-        time_s, y = loaded(*course)
-        for memory in (SENSORS_MEMORY, *OTHERS.values()):
-            found, _ = followed(SensorFilter(memory=replace(memory, direction="loading")), time_s, y)
-            assert found == pytest.approx(np.expm1(y / 2), abs=1e-15)
+    time_s, y = loaded(*COURSES[course])
+    for memory in (SENSORS_MEMORY, *OTHERS.values()):
+        found, _ = followed(SensorFilter(memory=replace(memory, direction="loading")), time_s, y)
+        assert found == pytest.approx(np.expm1(y / 2), abs=1e-15)
 
 
 def test_a_law_is_applied_once_a_hold_or_a_rest_has_tested_it():
