@@ -214,7 +214,8 @@ def stated_imperfections(attributes: Mapping[str, Any], rows: int, cols: int, la
     for name in {spec.name for spec in fields(Imperfections)} & set(attributes):
         with suppress(DesignError):
             more = replace(found, **{name: _from_attribute(name, attributes[name])})
-            more.dead_mask(rows, cols, layout)  # refuses what the array does not have
+            if name.startswith("dead_"):
+                more.dead_mask(rows, cols, layout)  # refuses what the array does not have
             found = more
     return found
 

@@ -99,8 +99,9 @@ class AnySamples:
 
     @property
     def _own_errors(self) -> ReadingError:
-        stated = {spec.name: getattr(self._stated, spec.name) for spec in fields(ReadingError)}
-        return ReadingError(**stated | {"noise": self.noise, "bits": self.bits})
+        stated = self._stated
+        own = {spec.name: getattr(stated, spec.name) for spec in fields(ReadingError)}
+        return ReadingError(**own | {"noise": self.noise, "bits": self.bits})
 
     @property
     def _stated(self) -> Imperfections:
