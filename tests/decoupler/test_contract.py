@@ -1,17 +1,12 @@
 """What every decoder keeps, whatever sensor it decodes and whatever it learned from: decoders × guarantees."""
 
 import os
-import shutil
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 
@@ -35,6 +30,7 @@ from geometry.design import Electrics
 from geometry.wiring import pillars_of_wires
 from tests.decoupler import test_finite_strain as finite
 from tests.decoupler import test_touch as touch
+from tests.decoupler.exported_forms import CC, by_header, by_onnx
 from tests.decoupler.synthetic_sensor import ALL, RESPONSE, SMALL, conducted, labelled, response, sensor
 
 OTHERS = ("six-pillar", "eight-pillar", "upright-four")  #: layouts
@@ -44,21 +40,6 @@ DEAD[0, 1], DEAD[1, 2, 0] = True, True
 DRIFTS = {"drift": 0.005, "drift_tilt": 0.005, "drift_pillar": 0.002, "drift_offset_ohm": 50.0}
 ROUNDING = 1e-9  #: of full scale; double leaves some 1e-15, from another order of sums
 SCANS = 5  #: looked at one by one
-CC = shutil.which("cc")
-STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")  #: the header passes them
-MAIN = """
-#include <stdio.h>
-#include "model.h"
-int main(void)
-{
-    static tripillar_real resistance_ohm[TRIPILLAR_RESISTANCES], force_n[TRIPILLAR_FORCES];
-    while (fread(resistance_ohm, sizeof resistance_ohm, 1, stdin) == 1) {
-        tripillar_forces(resistance_ohm, force_n);
-        fwrite(force_n, sizeof force_n, 1, stdout);
-    }
-    return 0;
-}
-"""
 OTHER_ORDER = 5.0  #: another order of sums rounds to float as much, to its order
 
 
@@ -139,22 +120,6 @@ CASES: dict[str, Callable[[], Case]] = {
     "finite-strain-six-pillar": lambda: Case(*finite.learned("six-pillar")),
 }
 made = cache(lambda name: CASES[name]())
-
-
-def by_onnx(content: bytes, resistance_ohm: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
-    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    return session.run(["force_n"], {"resistance_ohm": resistance_ohm.astype(dtype)})[0].astype(np.float64)
-
-
-def by_header(header: str, resistance_ohm: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
-    assert CC is not None
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "model.h").write_text(header, encoding="utf-8")
-        (Path(folder) / "main.c").write_text(MAIN, encoding="utf-8")
-        subprocess.run([CC, "-std=c99", *STRICT, "main.c", "-o", "main", "-lm"], cwd=folder, check=True)
-        readings = resistance_ohm.astype(dtype).tobytes()
-        done = subprocess.run([Path(folder) / "main"], input=readings, capture_output=True, check=True)
-    return np.frombuffer(done.stdout, dtype).astype(np.float64).reshape(*resistance_ohm.shape[:3], -1)
 
 
 def place_of(model: Decoder) -> tuple[int, int, int]:
