@@ -213,8 +213,8 @@ def test_what_can_be_mended_is_mended_and_said(series, name, tmp_path):
     mended = read_series(written(tmp_path / "s.csv", series, **change(series)), length_mm=40.0)
     assert [says in note for note in mended.notes] == [True] * bool(says)
     same = np.interp(mended.time_s, series.time_s, series.resistance_ohm)
-    assert mended.resistance_ohm == pytest.approx(same, rel=0.02)
-    assert mended.strain == pytest.approx(np.interp(mended.time_s, series.time_s, series.strain), abs=1e-3)
+    np.testing.assert_allclose(mended.resistance_ohm, same, rtol=0.02)
+    np.testing.assert_allclose(mended.strain, np.interp(mended.time_s, series.time_s, series.strain), rtol=0, atol=1e-3)
     assert mended.force_n.mean() == pytest.approx(series.force_n.mean(), rel=1e-3)
 
 
@@ -227,7 +227,7 @@ def test_jitter_of_the_strain_adds_no_way(tmp_path):
     way, raw, true = (np.abs(np.diff(strain)).sum() for strain in (mended.strain, jittered, series.strain))
     assert raw > 1.1 * true
     assert way == pytest.approx(true, rel=0.1)
-    assert mended.strain == pytest.approx(series.strain, abs=9 * 3e-4)  # slack where it turns, and noise
+    np.testing.assert_allclose(mended.strain, series.strain, rtol=0, atol=9 * 3e-4)  # slack where it turns, and noise
 
 
 def test_of_few_rows_that_alternate_half_are_left(series, tmp_path):
@@ -283,7 +283,7 @@ def test_gaps_runs_few_rows_and_jitter_leave_the_rubber_what_it_is(series, name,
     assert (read.unsettled, read.parts) == (unsettled, parts)
     assert [said in note for note in read.notes[:1]] == [True] * bool(said)
     assert not unsettled or f"2 runs of {len(read)} rows used" in read.notes[0]
-    assert read.strain == pytest.approx(given.strain, abs=9 * 3e-4 if name == "jitter at rest" else 1e-7)
+    np.testing.assert_allclose(read.strain, given.strain, rtol=0, atol=9 * 3e-4 if name == "jitter at rest" else 1e-7)
     found = identified(read)
     assert is_found(found)
     assert checked(found, read).force_from_strain_nrmse_pct < 2
@@ -352,7 +352,7 @@ def test_tables_are_read_however_they_are_written(series, name, tmp_path, caplog
     (tmp_path / "s.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     read, true = read_series(tmp_path / "s.csv"), read_series(plain)
     for quantity, values in true.arrays.items():
-        assert read.arrays[quantity] == pytest.approx(values, rel=1e-6, abs=1e-6)
+        np.testing.assert_allclose(read.arrays[quantity], values, rtol=5e-7, atol=5e-7)
     assert read.notes == true.notes
     assert [f"read as {name}" in said for said in caplog.messages] == [True] * (name in ("gb2312", "latin-1"))
 
@@ -363,7 +363,7 @@ def test_rows_that_are_only_out_of_order_are_sorted(series, tmp_path):
     for order in (np.r_[half:n, :half], np.arange(n) ^ 1):
         found = read_series(written(tmp_path / "s.csv", series.part(order)))
         assert found.notes == ("rows put in the order of time",)
-        assert found.strain == pytest.approx(series.strain[:n], abs=1e-7)
+        np.testing.assert_allclose(found.strain, series.strain[:n], rtol=0, atol=1e-7)
     time_s = series.time_s - series.time_s[0]
     time_s[1] = 1e-308  # nearer to the first than any clock tells
     found = read_series(written(tmp_path / "s.csv", replace(series, time_s=time_s)))
