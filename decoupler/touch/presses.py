@@ -77,7 +77,7 @@ class Grid:
     @cached_property
     def by_cell(self) -> NDArray[np.float32]:
         """The same, to compute with, (ny·nx, 3 e); z positive in compression."""
-        signed = np.ascontiguousarray(self.half * UPWARDS[:, None].astype(np.float32))
+        signed = self.half.astype(np.float32) * UPWARDS[:, None].astype(np.float32)
         return signed.reshape(signed.shape[0] * signed.shape[1], -1)
 
     def by_point(self, place_mm: FloatArray) -> NDArray[np.float32]:
