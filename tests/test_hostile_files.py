@@ -9,8 +9,6 @@ import numpy as np
 import psutil
 import pytest
 import trimesh
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 
 from common.errors import TriPillarError
 from dataset.stored import read_samples
@@ -92,7 +90,7 @@ def model(path: Path) -> None:
 
 
 def strip() -> bytes:
-    return table(900, {
+    return table(300, {
         "time_s": lambda k: 0.1 * k, "strain": lambda k: 0.1 * np.sin(0.1 * k) ** 2,
         "force_n": lambda k: 2.0 * np.sin(0.1 * k) ** 2, "resistance_ohm": lambda k: 1e4 + 1e3 * np.sin(0.1 * k) ** 2,
     })  # fmt: skip
@@ -100,7 +98,7 @@ def strip() -> bytes:
 
 def ball(kind: str) -> Callable[[Path], bytes]:
     def content(_: Path) -> bytes:
-        found = trimesh.creation.icosphere(subdivisions=1, radius=5.0).export(file_type=kind)
+        found = trimesh.creation.icosphere(subdivisions=0, radius=5.0).export(file_type=kind)
         return found.encode() if isinstance(found, str) else found
 
     return content
@@ -123,7 +121,7 @@ READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], object]]
     "series": (".csv", lambda _: strip(), read_series),
     "rubber": (
         ".toml",
-        by_writing(lambda path: write_rubber(identified(bench(seed=0, rate_hz=1.0)), path), ".toml"),
+        by_writing(lambda path: write_rubber(identified(bench(seed=0, rate_hz=0.2)), path), ".toml"),
         read_rubber,
     ),
     "model": (".safetensors", by_writing(model, ".safetensors"), read_model),
@@ -141,22 +139,14 @@ READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], object]]
     **{f"tool as {kind}": (f".{kind}", ball(kind), read_solid) for kind in ("stl", "obj", "ply")},
 }
 
-EDITS = st.lists(
-    st.tuples(
-        st.floats(0, 1),
-        st.sampled_from(["byte", "cut", "token", "again", "end"]),
-        st.integers(0, 255),
-        st.integers(1, 40),
-    ),
-    min_size=1,
-    max_size=6,
-)
+EDITS = ["byte", "cut", "token", "again", "end"]
 
 
-def damaged(content: bytes, edits: list[tuple[float, str, int, int]]) -> bytes:
-    """A file's content after some edits, each at a part of its length."""
-    for part, kind, byte, count in edits:
-        at = int(part * len(content))
+def damaged(content: bytes, generator: np.random.Generator) -> bytes:
+    """A file's content after one to six edits, each anywhere."""
+    for _ in range(generator.integers(1, 7)):
+        kind, byte, count = EDITS[generator.integers(len(EDITS))], generator.integers(256), generator.integers(1, 41)
+        at = generator.integers(len(content), endpoint=True)
         into = {"byte": bytes([byte]), "token": TOKENS[byte % len(TOKENS)], "again": content[at : at + 5 * count]}
         behind = {"byte": 1, "cut": count, "token": count % 8, "again": 0, "end": len(content)}[kind]
         content = content[:at] + into.get(kind, b"") + content[at + behind :]
@@ -168,7 +158,7 @@ def sound(name: str, folder: Path) -> bytes:
     return READERS[name][1](folder)
 
 
-@pytest.mark.parametrize("examples", [100, pytest.param(40_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("examples", [50, pytest.param(40_000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused_in_one_line(name, examples, tmp_path, monkeypatch):
     suffix, _, reader = READERS[name]
@@ -178,18 +168,11 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(name, examples, tmp_path,
     path.write_bytes(content)
     reader(path) if name != "twin" else None
 
-    @settings(
-        max_examples=examples, derandomize=True, database=None, deadline=None, phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
-    @given(EDITS)
-    def each(edits):
-        path.write_bytes(damaged(content, edits))
+    for number in range(examples):
+        path.write_bytes(damaged(content, np.random.default_rng(number)))
         try:
             reader(path)
         except TriPillarError as refused:
             said.append(str(refused))
-
-    each()
     assert not [line for line in said if len(line.splitlines()) != 1]
     assert psutil.Process().memory_info().rss - before < GROWN_MB * 2**20

@@ -145,13 +145,13 @@ class StrainMaps:
         by_z = (o @ self._of_own).reshape(n, k, m, -1)
         by_pairs = by_pairs + by_z[..., 9 * N_OWN : 9 * N_OWN + N_PAIRS]
         by_pairs[..., _PRESSING] += by_pressing.swapaxes(2, 3)
-        by_own = by_factor.swapaxes(2, 3) + by_z[..., :N_OWN] + _by_o(by_pairs, o[:, :, None])
+        by_own = by_factor.swapaxes(2, 3) + by_z[..., :N_OWN] + _by_o(by_pairs, o)
         near = around.reshape(n, k, 8, N_OWN)
         by_alone = self._by_alone @ near[..., None]
         by_around = by_z[..., N_OWN : 9 * N_OWN] + (pressing @ self._of_pressing).reshape(n, k, m, -1)
         by_around = by_around.reshape(n, k, m, 8, N_OWN) + by_alone.reshape(n, k, 8, m, N_OWN).swapaxes(2, 3)
-        beside = by_z[..., 9 * N_OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS)
-        by_around[..., _SIDES, :] += _by_o(beside, near[:, :, None, _SIDES])
+        beside = by_z[..., 9 * N_OWN + N_PAIRS :].reshape(n, k, m, 4, N_PAIRS).swapaxes(2, 3)
+        by_around[..., _SIDES, :] += _by_o(beside, near[:, :, _SIDES]).swapaxes(2, 3)
         by_o = namespace(o).concat([by_own, by_around.reshape(n, k, m, -1)], axis=3) + first[1:].T  # (n, k, m, 81)
         return values, by_o @ self._by_force
 
@@ -253,8 +253,9 @@ def _doubled(values: FloatArray, numbers: NDArray[np.int64]) -> FloatArray:
 
 
 def _by_o(by_pairs: FloatArray, o: FloatArray) -> FloatArray:
-    """Derivatives by o (..., 9) of sums of its pairs with weights (..., 45)."""
-    return (_doubled(by_pairs, _PAIR_OF) @ o[..., None])[..., 0]
+    """Derivatives (..., m, 9) by o (..., 9) of m sums of its pairs with weights (..., m, 45)."""
+    of_pairs = o @ _doubled(eye(N_PAIRS, o), _PAIR_OF).reshape(-1, N_OWN).T
+    return by_pairs @ of_pairs.reshape(*o.shape[:-1], N_PAIRS, N_OWN)
 
 
 def _with_own(o: FloatArray, around: FloatArray, pairs: FloatArray, pairs_around: FloatArray) -> FloatArray:

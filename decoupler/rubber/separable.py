@@ -55,13 +55,14 @@ class _Problem:
         self, columns: Columns, target: FloatArray, seconds: FloatArray, prior: FloatArray, others: FloatArray
     ) -> None:
         self.columns, self.target, self.seconds, self.others = columns, target, seconds, others
+        self.keep = np.exp(-seconds / CORRELATION_S)[:, None]
+        self.own = np.sqrt(1 - self.keep**2)
         (self.mean, self.deviation), self.m = prior.T, len(prior) - len(others)
         self.weight, self.variance, self.inflation, self.cost = np.ones(len(target)), 1e-3, 20.0, 0.0
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Values (n, p) less what of each is known by the one before, weighted."""
-        keep = np.exp(-self.seconds / CORRELATION_S)[:, None]
-        rest = (values[1:] - keep * values[:-1]) / np.sqrt(1 - keep**2)
+        rest = (values[1:] - self.keep * values[:-1]) / self.own
         return np.concatenate([values[:1], rest]) * self.weight[:, None]
 
     def linear(self, others: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

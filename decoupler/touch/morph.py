@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from decoupler.touch.presses import Grid, middles
+from decoupler.touch.presses import Grid, middles, summed
 from decoupler.touch.sensing import Sensing, Whitening
 from geometry.layout import FloatArray
 
 #: standard deviations of q before a scan is seen; of places in heights
 PRIOR = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3, 0.25, 0.25, 0.5] + 5 * [0.15])
 MOVES = 9  #: the first of them, which change a press as a whole
+PLACED = range(2, 7)  #: numbers of the steps that move points, of a press and its 14 steps
 STEP = PRIOR / np.array([35, 30, 30, 10, 10, 10, 12, 12, 10] + 5 * [10])  #: of one-sided differences
 SPREADS = 3.0  #: from a press's middle, beyond which its waves are level, and of their sum
 POINTS = 12  #: along each side of a patch, at which its forces act at most
@@ -106,6 +107,14 @@ class Part:
         """Displacements (..., b, e) of the electrodes [mm]."""
         return self.sensing.grid.moved_mm(*self.changed(q))
 
+    def stepped(self, q: FloatArray) -> FloatArray:
+        """The same (..., 15, e) by q (..., 14), and by it with each number changed by its step."""
+        place, force = self.changed(_and_steps(q))
+        by_point = self.sensing.grid.by_point(place[..., [0, *PLACED], :, :])  # all others leave points where they are
+        found = summed(force, by_point[..., 0, :, :, :])
+        found[..., PLACED, :] = summed(force[..., PLACED, None, :, :], by_point[..., 1:, :, :, :])[..., 0, :]
+        return found
+
     def contact(self, q: FloatArray) -> FloatArray:
         """Force [N], centre of pressure [mm] and half axes along x and y of the pressed ellipse [mm], (..., b, 7)."""
         place, force = self.changed(q)
@@ -182,7 +191,7 @@ def fitted(
     prior, limit, change = (np.tile(each, shape[0]) for each in (PRIOR**-2.0, PRIOR, STEP))
     damping, going, found = np.full(len(q), DAMPING), np.arange(len(q)), dict[int, Fit]()
     for step in range(max(steps, 1)):
-        each, flat = parts[going].moved(_and_steps(q[going])), q[going].reshape(len(going), -1)
+        each, flat = parts[going].stepped(q[going]), q[going].reshape(len(going), -1)
         moved = each[:, :, 0].sum(axis=1)
         changed = moved[:, None] + (each[:, :, 1:] - each[:, :, :1]).reshape(*flat.shape, -1)
         read = sensing.reading(np.concatenate([moved[:, None], changed], axis=1))

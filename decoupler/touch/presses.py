@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from decoupler.touch.sensing import Displacements
 from geometry.layout import FloatArray
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 CELLS_PER_HEIGHT = 16  #: of the grid on which fields are put: twice as coarse ones misplace electrodes by 0.9 %
 #: the same where tops of pillars lie bare, 121 times as stiff: electrodes err by 3 % in the median, with 16 by 7 %
 CELLS_WITH_TOPS = 32
-MAX_CELLS = 3000  #: that many presses are put on at once, which is slower where they have few in common
 UPWARDS = np.array([1.0, 1.0, -1.0])
 
 
@@ -25,6 +25,12 @@ def middles(box_mm: FloatArray, cells: FloatArray) -> FloatArray:
     (ny, nx), (x0, y0, x1, y1) = cells.shape[-2:], box_mm.tolist()
     x, y = np.meshgrid(x0 + (np.arange(nx) + 0.5) * (x1 - x0) / nx, y0 + (np.arange(ny) + 0.5) * (y1 - y0) / ny)
     return np.stack([x.ravel(), y.ravel()])
+
+
+def summed(force_n: FloatArray, by_point: NDArray[np.float32]) -> FloatArray:
+    """What k fields of forces (..., k, 3, n) do, (..., k, e), by what a newton at each point does, (..., n, 3, e)."""
+    single = force_n.astype(np.float32)
+    return np.sum([single[..., axis, :] @ by_point[..., axis, :] for axis in range(3)], axis=0).astype(float)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,47 +76,31 @@ class Grid:
 
     @cached_property
     def by_cell(self) -> NDArray[np.float32]:
-        """The same, to compute with."""
-        return self.half.astype(np.float32)
+        """The same, to compute with, (ny·nx, 3 e); z positive in compression."""
+        signed = self.half.astype(np.float32) * UPWARDS[:, None].astype(np.float32)
+        return signed.reshape(signed.shape[0] * signed.shape[1], -1)
 
-    def moved_mm(self, place_mm: FloatArray, force_n: FloatArray) -> FloatArray:
-        """Displacements (..., e) [mm] of electrodes by forces (..., 3, n) [N], z positive in compression, at points.
+    def by_point(self, place_mm: FloatArray) -> NDArray[np.float32]:
+        """Displacements (..., n, 3, e) [mm/N] by forces at points (..., 2, n) [mm] from the slab's middle.
 
-        Forces at points (..., 2, n) [mm] from the slab's middle are put on the nearest 3 × 3 cells; their moments up to
-        the second stay.
+        A force is put on the nearest 3 × 3 cells; its moments up to the second stay.
         """
-        shape, n = force_n.shape[:-2], force_n.shape[-1]
-        count = np.array(self.by_cell.shape[1::-1])[:, None]
-        cell_mm = self.slab_mm[:, None] / count
-        at = place_mm.reshape(-1, 2, n) / cell_mm + (count - 1) / 2
+        nx = self.half.shape[1]
+        count = np.array(self.half.shape[1::-1])[:, None]
+        at = place_mm / (self.slab_mm[:, None] / count) + (count - 1) / 2
         cell = np.clip(np.rint(at), 1, count - 2)
         off = at - cell
         square = off**2 - 1 / 12
-        share = np.stack([(square - off) / 2, 1 - square, (square + off) / 2])  # (3, b, 2, n)
-        low, high = cell.min(axis=(0, 2)).astype(int) - 1, cell.max(axis=(0, 2)).astype(int) + 2
-        wide, deep = (high - low).tolist()
-        steps = np.arange(3) + wide * np.arange(3)[:, None]  # to a point's cells from the first of them
-        first = ((cell[:, 1] - low[1] - 1) * wide + cell[:, 0] - low[0] - 1).astype(np.int64)
-        used = np.zeros(wide * deep, dtype=bool)
-        used[first] = True
-        used[np.flatnonzero(used)[:, None] + steps.ravel()] = True
-        number = np.cumsum(used) - 1
-        cells = int(number[-1]) + 1
-        if cells > MAX_CELLS and len(first) > 1:
-            place_mm, force_n, half = place_mm.reshape(-1, 2, n), force_n.reshape(-1, 3, n), len(first) // 2
-            halves = [self.moved_mm(place_mm[some], force_n[some]) for some in (slice(half), slice(half, None))]
-            return np.concatenate(halves).reshape(*shape, -1)
-        index = number[first + steps[:, :, None, None]] + cells * np.arange(len(first))[:, None]
-        weight = share[:, None, :, 1] * share[:, :, 0]
-        force = force_n.reshape(-1, 3, n)
-        on_cells = np.empty((len(first), cells, 3), np.float32)
-        for axis in range(3):
-            values = (weight * (UPWARDS[axis] * force[:, axis])).ravel()
-            on_cells[..., axis] = np.bincount(index.ravel(), values, on_cells[..., axis].size).reshape(-1, cells)
-        row, column = np.divmod(np.flatnonzero(used), wide)
-        part = self.by_cell[row + low[1], column + low[0]]
-        moved = on_cells.reshape(len(first), -1) @ part.reshape(-1, part.shape[-1])
-        return moved.astype(float).reshape(*shape, -1)
+        share = np.stack([(square - off) / 2, 1 - square, (square + off) / 2], axis=-1).astype(np.float32)
+        weight = share[..., 1, :, :, None] * share[..., 0, :, None, :]  # (..., n, 3, 3)
+        column, row = np.moveaxis(cell.astype(np.int32), -2, 0)
+        numbers = (row * nx + column)[..., None] + np.add.outer([-nx, 0, nx], [-1, 0, 1]).ravel().astype(np.int32)
+        ends, shape = np.arange(0, weight.size + 1, 9), (weight.size // 9, len(self.by_cell))
+        return (csr_array((weight.ravel(), numbers.ravel(), ends), shape) @ self.by_cell).reshape(*row.shape, 3, -1)
+
+    def moved_mm(self, place_mm: FloatArray, force_n: FloatArray) -> FloatArray:
+        """Displacements (..., e) [mm] by forces (..., 3, n) [N], z positive in compression, at points (..., 2, n)."""
+        return summed(force_n[..., None, :, :], self.by_point(place_mm))[..., 0, :]
 
     def pressed_mm(self, box_mm: FloatArray, cells: FloatArray) -> FloatArray:
         """Displacement (e,) [mm] of the electrodes by forces (3, ny, nx) [N], z positive in compression, on a box."""

@@ -50,14 +50,14 @@ def test_a_dataset_is_what_the_equations_say(any_response, protocol):
     assert np.array_equal(data.force_n, data.traction_mpa * 144.0 * np.array([1.0, 1.0, -1.0]))
     assert (data.force_n[..., 2] >= 0).all()
     moved = np.einsum("rceaijb,nijb->nrcea", any_response.influence_mm_per_n, 144.0 * data.traction_mpa)
-    assert data.displacement_mm == pytest.approx(moved, abs=1e-13)
+    np.testing.assert_allclose(data.displacement_mm, moved, rtol=0, atol=1e-13)
     ends = {one.name: np.array([5.0 * one.place[0], 5.0 * one.place[1], 0.0]) for one in layout.lower}
     for number, one in enumerate(layout.upper):
         ends[one.name] = [5.0 * one.place[0], 5.0 * one.place[1], 10.0] + data.displacement_mm[..., number, :]
     lengths = [np.linalg.norm(ends[one.top] - ends[one.foot], axis=-1) for one in layout.pillars]
-    assert data.length_mm == pytest.approx(np.stack(lengths, axis=-1), rel=1e-14)
+    np.testing.assert_allclose(data.length_mm, np.stack(lengths, axis=-1), rtol=1e-14)
     rest_mm = np.where(np.char.startswith(layout.pillar_names, "z"), 10.0, np.sqrt(200.0))
-    assert data.resistance_ohm == pytest.approx(4000.0 * data.length_mm**2 / (4.0 * rest_mm), rel=1e-14)
+    np.testing.assert_allclose(data.resistance_ohm, 4000.0 * data.length_mm**2 / (4.0 * rest_mm), rtol=1e-14)
 
 
 def test_a_reference_shares_drifts_and_warmth_and_no_load(response):

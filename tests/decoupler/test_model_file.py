@@ -24,8 +24,9 @@ from decoupler.export.traced import ExportError, Traced
 from decoupler.model_file import model_cache_key, read_model, require_same_sensor, write_model
 from geometry import Array, DesignError, FileFormatError
 from geometry.design import Electrics, Memory, Prony
+from tests.decoupler.exported_forms import CC, STRICT, by_header, by_onnx
 from tests.decoupler.synthetic_sensor import RESPONSE, SMALL, labelled, response, sensor
-from tests.decoupler.test_contract import CC, STRICT, by_header, by_onnx, made
+from tests.decoupler.test_contract import made
 
 DATA = labelled(SMALL, "xyz", n_samples=40, seed=0)
 NETWORK = NetworkConfig(hidden=4)

@@ -1,4 +1,4 @@
-"""Rubbers from bench series, which come back, are mended or refused, and a sensor's own: forces without memory."""
+"""Rubbers from bench series, which come back, are mended or refused."""
 
 import re
 from dataclasses import replace
@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from common.errors import DesignError, FileFormatError
-from dataset.memory import PillarMemory, broken_contacts, log_rise
-from decoupler.rubber.belief import READ_S, SensorFilter
+from decoupler.rubber.belief import SensorFilter
 from decoupler.rubber.check import checked, doubted, of_range, resistance_from_strain
 from decoupler.rubber.fit import fit_elastic, identified
-from decoupler.rubber.inversion import LawInverse
 from decoupler.rubber.law import NAMES, numbers_of, settled_stress
 from decoupler.rubber.rubber_file import extended, read_rubber, write_rubber
 from decoupler.rubber.series import read_series
@@ -19,7 +17,6 @@ from geometry.design import Material, Memory, SensorDesign
 from geometry.design_file import read_design
 from geometry.law import LAWS
 from studies.pictures.rubber import ELASTIC, MEMORY, NOISE, bench
-from studies.real_rubber.array import followed
 
 
 def written(path, series, **changes):
@@ -33,7 +30,7 @@ def written(path, series, **changes):
 
 @pytest.fixture(scope="module")
 def series():
-    return bench(rate_hz=2.0)
+    return bench(rate_hz=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +39,7 @@ def found(series):
 
 
 def test_a_rubber_without_noise_comes_back():
-    exact = bench(noise=0.0, rate_hz=2.0)
+    exact = bench(noise=0.0, rate_hz=1.0)
     found = identified(exact)
     off = np.abs(found.numbers - numbers_of(MEMORY))
     assert (off < 3 * np.sqrt(found.covariance.diagonal()) + 1e-6).all()
@@ -62,7 +59,7 @@ def test_a_noisy_one_comes_back_within_its_deviations(found):
     assert found.noise == pytest.approx(NOISE, rel=0.3)
     assert found.young_mpa == pytest.approx(3 * 5.0 / 40.0, rel=0.05)
     assert found.resistivity_ohm_mm == pytest.approx(1200.0 * 40.0 / 20.0, rel=0.03)
-    fresh = bench(seed=1, rate_hz=2.0)
+    fresh = bench(seed=1, rate_hz=1.0)
     assert of_range(resistance_from_strain(found, fresh), fresh.resistance_ohm) < 2.0
 
 
@@ -167,10 +164,10 @@ def test_a_check_judges_resistance_and_force_from_strain_with_offsets_free(found
 def test_two_ways_of_reading_tell_contacts(series):
     """Two wires read the strip between its clamps, twice as long, and a contact of 15 kΩ at each end."""
     read = replace(series, two_wire_ohm=2 * series.resistance_ohm + 30e3)
-    found = identified(read.averaged(16), electrodes_mm=20.0, length_mm=40.0)
+    found = identified(read.averaged(8), electrodes_mm=20.0, length_mm=40.0)
     assert found.contact_ohm == pytest.approx(15e3)
     assert found.contact_spread == pytest.approx(0.0, abs=1e-9)
-    assert identified(read.averaged(16)).contact_ohm is None
+    assert identified(read.averaged(8)).contact_ohm is None
 
 
 @ELASTICS
@@ -193,7 +190,7 @@ def swung(series):
 
 def hit(series):
     strain = series.strain.copy()
-    strain[[500, 1200, 1201]] = 0.0, -0.4, -0.4
+    strain[[250, 600, 601]] = 0.0, -0.4, -0.4
     return strain
 
 
@@ -216,25 +213,26 @@ def test_what_can_be_mended_is_mended_and_said(series, name, tmp_path):
     mended = read_series(written(tmp_path / "s.csv", series, **change(series)), length_mm=40.0)
     assert [says in note for note in mended.notes] == [True] * bool(says)
     same = np.interp(mended.time_s, series.time_s, series.resistance_ohm)
-    assert mended.resistance_ohm == pytest.approx(same, rel=0.02)
-    assert mended.strain == pytest.approx(np.interp(mended.time_s, series.time_s, series.strain), abs=1e-3)
+    np.testing.assert_allclose(mended.resistance_ohm, same, rtol=0.02)
+    np.testing.assert_allclose(mended.strain, np.interp(mended.time_s, series.time_s, series.strain), rtol=0, atol=1e-3)
     assert mended.force_n.mean() == pytest.approx(series.force_n.mean(), rel=1e-3)
 
 
-def test_jitter_of_the_strain_adds_no_way(series, tmp_path):
+def test_jitter_of_the_strain_adds_no_way(tmp_path):
     """A noise of 0.03 % alone would break contacts at rest as fast as they heal; the numbers come back without it."""
+    series = bench(rate_hz=2.0)
     jittered = series.strain + 3e-4 * np.random.default_rng(0).standard_normal(len(series))
     mended = read_series(written(tmp_path / "s.csv", series, strain=jittered))
     assert "strain jitters by 0.0002" in mended.notes[0]
     way, raw, true = (np.abs(np.diff(strain)).sum() for strain in (mended.strain, jittered, series.strain))
     assert raw > 1.1 * true
     assert way == pytest.approx(true, rel=0.1)
-    assert mended.strain == pytest.approx(series.strain, abs=9 * 3e-4)  # slack where it turns, and noise
+    np.testing.assert_allclose(mended.strain, series.strain, rtol=0, atol=9 * 3e-4)  # slack where it turns, and noise
 
 
 def test_of_few_rows_that_alternate_half_are_left(series, tmp_path):
     """Fewer than a part that may be at rest: the jitter of strain is that of them all."""
-    few = series.part(slice(440, 590))
+    few = series.part(slice(220, 370))
     assert len(read_series(written(tmp_path / "s.csv", few, resistance_ohm=swung(few)))) == 75
 
 
@@ -264,14 +262,13 @@ def runs(series, *between_s):
 #: series, the first rows of their runs that do not begin at rest, what is said of them, and the parts of each step.
 #: Of runs nothing is known in between; between few rows of a strip that moves all the time a curve is followed
 GIVEN = {
-    "gap at rest": (lambda s: s.part((s.time_s < 60) | (s.time_s > 120)), [120], "first from 59.5 s to 120.5 s", 1),
-    "gap in motion": (lambda s: s.part((s.time_s < 238) | (s.time_s > 300)), [476], "first from 237.5 s to 300", 1),
-    "clock again": (lambda s: runs(s, (0, 900), (900, 3000)), [1800], " s to 0 s", 1),
-    "all twice": (lambda s: runs(s, (0, 3000), (0, 3000)), [6000], " s to 0 s", 1),
-    "last first": (lambda s: runs(s, (900, 1700), (0, 900)), [0, 1600], " s to 0 s", 1),
+    "gap at rest": (lambda s: s.part((s.time_s < 120) | (s.time_s > 180)), [120], "first from 119 s to 181 s", 1),
+    "gap in motion": (lambda s: s.part((s.time_s < 238) | (s.time_s > 300)), [238], "first from 237 s to 301 s", 1),
+    "clock again": (lambda s: runs(s, (0, 900), (900, 3000)), [900], " s to 0 s", 1),
+    "all twice": (lambda s: runs(s, (0, 3000), (0, 3000)), [3000], " s to 0 s", 1),
+    "last first": (lambda s: runs(s, (900, 1700), (0, 900)), [0, 800], " s to 0 s", 1),
     "jitter at rest": (lambda _: jittered(), [], "strain jitters by 0.0003", 1),
     "1 Hz": (lambda _: moving(1), [], "", 8),
-    "2 Hz": (lambda _: moving(2), [], "", 8),
     "4 Hz": (lambda _: moving(4), [], "", 8),
     "10 Hz": (lambda _: moving(10), [], "", 1),
 }
@@ -286,7 +283,7 @@ def test_gaps_runs_few_rows_and_jitter_leave_the_rubber_what_it_is(series, name,
     assert (read.unsettled, read.parts) == (unsettled, parts)
     assert [said in note for note in read.notes[:1]] == [True] * bool(said)
     assert not unsettled or f"2 runs of {len(read)} rows used" in read.notes[0]
-    assert read.strain == pytest.approx(given.strain, abs=9 * 3e-4 if name == "jitter at rest" else 1e-7)
+    np.testing.assert_allclose(read.strain, given.strain, rtol=0, atol=9 * 3e-4 if name == "jitter at rest" else 1e-7)
     found = identified(read)
     assert is_found(found)
     assert checked(found, read).force_from_strain_nrmse_pct < 2
@@ -348,14 +345,14 @@ def grouped(cell):
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_tables_are_read_however_they_are_written(series, name, tmp_path, caplog):
-    few = series.part(slice(440, 590))
+    few = series.part(slice(220, 370))
     plain = written(tmp_path / "plain.csv", replace(few, resistance_ohm=1000 * few.resistance_ohm))
     rows = [line.split(",") for line in plain.read_text().splitlines()]
     content = WRITTEN[name](rows)
     (tmp_path / "s.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     read, true = read_series(tmp_path / "s.csv"), read_series(plain)
     for quantity, values in true.arrays.items():
-        assert read.arrays[quantity] == pytest.approx(values, rel=1e-6, abs=1e-6)
+        np.testing.assert_allclose(read.arrays[quantity], values, rtol=5e-7, atol=5e-7)
     assert read.notes == true.notes
     assert [f"read as {name}" in said for said in caplog.messages] == [True] * (name in ("gb2312", "latin-1"))
 
@@ -366,7 +363,7 @@ def test_rows_that_are_only_out_of_order_are_sorted(series, tmp_path):
     for order in (np.r_[half:n, :half], np.arange(n) ^ 1):
         found = read_series(written(tmp_path / "s.csv", series.part(order)))
         assert found.notes == ("rows put in the order of time",)
-        assert found.strain == pytest.approx(series.strain[:n], abs=1e-7)
+        np.testing.assert_allclose(found.strain, series.strain[:n], rtol=0, atol=1e-7)
     time_s = series.time_s - series.time_s[0]
     time_s[1] = 1e-308  # nearer to the first than any clock tells
     found = read_series(written(tmp_path / "s.csv", replace(series, time_s=time_s)))
@@ -379,7 +376,7 @@ REFUSED = {
     "ns for s": (lambda s: {"time_s": 1e9 * s.time_s}, "name the column time_ns"),
     "hours for s": (lambda s: {"time_s": s.time_s / 3600}, "name the column time_h"),
     "ms for min": (lambda s: {"time_s": None, "time_min": 1e3 * s.time_s}, "name the column time_ms"),
-    "days for s": (lambda s: {"time_s": s.time_s / 86400}, "name the column time_d"),
+    "days for s": (lambda s: {"time_s": 0.5 * s.time_s / 86400}, "name the column time_d"),
     "a second": (lambda s: {"time_s": s.time_s / 1e9}, "as no bench reads"),
     "two wires": (
         lambda s: {"two_wire_ohm": 0.6 * s.resistance_ohm},
@@ -396,7 +393,7 @@ REFUSED = {
     "no position": (lambda s: {"strain": s.strain[np.random.default_rng(0).permutation(len(s))]}, "of the specimen"),
     "gaps": (lambda s: s.part(s.time_s % 60 < 30).arrays, "record it again in one go, without gaps"),
     "short runs": (lambda s: runs(s, *((t, t + 40) for t in range(200, 500, 40))).arrays, "too few runs have 100 rows"),
-    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 10, s.resistance_ohm, np.nan)}, "has 20 rows"),
+    "few": (lambda s: {"resistance_ohm": np.where(s.time_s < 20, s.resistance_ohm, np.nan)}, "has 20 rows"),
 }
 
 
@@ -427,138 +424,7 @@ DOUBTED = {
 @pytest.mark.parametrize("name", DOUBTED)
 def test_a_rubber_that_no_silicone_is_is_doubted(series, name):
     change, says = DOUBTED[name]
-    few = series.part(slice(0, 4000))
-    few = replace(few, **change(few)).averaged(2)
+    few = series.part(slice(0, 2000))
+    few = replace(few, **change(few))
     found = identified(few, section_mm2=40.0, electrodes_mm=20.0, length_mm=40.0)
     assert re.search(says, doubted(found, few, checked(found, few), True))
-
-
-SENSORS_MEMORY = Memory(a=(0.575, 0.204), b_lengthen=2.47, b_shorten=9.52, tau_s=(2.2, 165.0), g1=1.88)
-#: other rubbers: slow contacts (10 % carbon black), and ones that break less and heal in no time
-OTHERS = {
-    "slow": Memory(a=(0.235, 0.24), b_lengthen=1.35, b_shorten=9.84, tau_s=(17.0, 430.0), g1=1.09),
-    "quick": Memory(a=(2.05, 0.92), b_lengthen=0.21, b_shorten=1.61, tau_s=(0.82, 5.3), g1=2.7),
-}
-APART_S, PILLARS = 0.1, 60
-TIME_S = np.arange(0.0, 85.0, APART_S)
-MARKS = [round(each / APART_S) for each in (8.0, 17.0, 66.0, 79.0)]  #: 1, 10, 59 s held; 10 s let go
-LOADING, UNKNOWN = (replace(SENSORS_MEMORY, direction=each) for each in ("loading", "unknown"))
-
-
-def shown(memory, seed=0):
-    """Strains (time, n) of a press in 2 s that is held for a minute and let go, and ln R of pillars spread by 15 %."""
-    generator = np.random.default_rng(seed)
-    size = np.clip(-0.06 + 0.07 * generator.standard_normal(PILLARS), -0.25, 0.15)
-    strain = np.interp(TIME_S, [5.0, 7.0, 67.0, 69.0], [0.0, 1.0, 1.0, 0.0])[:, None] * size
-    own = PillarMemory.spread(memory, np.exp(0.15 * generator.standard_normal((6, PILLARS))))
-    broken = broken_contacts(np.abs(strain), APART_S, own)
-    clean = 2 * np.log1p(strain) + log_rise(strain, broken, own)
-    return strain, clean + 0.001 * generator.standard_normal(clean.shape)
-
-
-def ignoring(y, memory):
-    law = LawInverse([replace(memory, a=(0.0, 0.0))], y.shape[1])
-    return np.stack([law.step(each, APART_S)[0] for each in y])
-
-
-def size(errors):
-    return np.sqrt((errors[MARKS] ** 2).mean(axis=1))
-
-
-@pytest.mark.parametrize("stated", [LOADING, UNKNOWN], ids=["stated", "unknown"])
-def test_memory_is_followed_by_the_law_that_holds(stated):
-    """What is left: pillars' spread of 15 %, and doubt; ten seconds after the release the sensor is known to rest."""
-    strain, y = shown(SENSORS_MEMORY)
-    found, deviation = followed(SensorFilter(memory=stated), TIME_S, y)
-    left = size(found - strain) / size(ignoring(y, SENSORS_MEMORY) - strain)
-    assert left[0] < 0.3
-    assert left[-1] < 0.05
-    assert (np.abs(found - strain) < 1.96 * deviation).mean() > 0.95
-
-
-@pytest.mark.parametrize("stated", [LOADING, UNKNOWN], ids=["stated", "unknown"])
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_wrong_rubber_costs_no_more_than_ignoring_memory(name, stated):
-    """Either way round: the law is contradicted by the first hold, and gives way; deviations hold."""
-    for truth, file in ((OTHERS[name], stated), (SENSORS_MEMORY, replace(OTHERS[name], direction=stated.direction))):
-        strain, y = shown(truth)
-        for is_tested, ignored in ((True, ignoring(y, file)), (False, np.expm1(y / 2))):  # of a design its g₁ stays
-            found, deviation = followed(SensorFilter(memory=file, is_tested=is_tested), TIME_S, y)
-            assert (size(found - strain) < 1.1 * size(ignored - strain) + 1e-3).all()
-            assert (np.abs(found - strain) < 1.96 * deviation).mean() > 0.9
-
-
-def loaded(times, strains, apart_s=0.05):
-    """ln R of pillars without memory (time, n) under a load of such a course, and its seconds."""
-    time_s, generator = np.arange(0.0, times[-1], apart_s), np.random.default_rng(3)
-    most = np.clip(-0.06 + 0.07 * generator.standard_normal(PILLARS), -0.25, 0.15)
-    strain = np.interp(time_s, times, strains)[:, None] * most
-    return time_s, 2 * np.log1p(strain) + 0.001 * generator.standard_normal(strain.shape)
-
-
-@pytest.mark.parametrize("creep", [-0.2, 0.0, 0.1, 0.3])
-def test_a_rubber_that_the_sensor_does_not_have_is_never_applied(creep):
-    """Pressed and slid without a hold for 3.5 s, or held while the load creeps: readings stay those of eq. 1."""
-    slid = [0.0, 0.5, 1.2, 1.8, 2.6, 3.5], [0, 0, 1, 0.6, 1, 0.3]
-    held = [0.0, 1.0, 2.0, 12.0, 12.5, 16.0], [0, 0, 1, 1 + creep, 0, 0]
-    for course in (slid, held):
-        time_s, y = loaded(*course)
-        for memory in (SENSORS_MEMORY, *OTHERS.values()):
-            found, _ = followed(SensorFilter(memory=replace(memory, direction="loading")), time_s, y)
-            assert found == pytest.approx(np.expm1(y / 2), abs=1e-15)
-
-
-def test_a_law_is_applied_once_a_hold_or_a_rest_has_tested_it():
-    """Within a second of the hold after a press: before, readings are those of eq. 1, then as of a design's law."""
-    _, y = shown(SENSORS_MEMORY)
-    file, design = (SensorFilter(memory=LOADING, is_tested=each).start(PILLARS) for each in (False, True))
-    tested = []
-    for each in y:
-        (by_file, wide), (by_design, _) = (one.step(each, APART_S) for one in (file, design))
-        tested.append(file.is_tested)
-        assert by_file == pytest.approx(by_design if file.is_tested else np.expm1(each / 2), abs=1e-15)
-        assert file.is_tested or (np.abs(by_file - by_design) < 1.96 * wide + 1e-3).mean() > 0.9
-    assert 7.0 < TIME_S[tested.index(True)] <= 8.0
-    assert all(tested[tested.index(True) :])
-
-
-def test_after_a_start_in_the_middle_deviations_hold_until_it_knows_again():
-    strain, y = shown(SENSORS_MEMORY)
-    known = SensorFilter(memory=LOADING)
-    narrow = np.median(followed(known, TIME_S, y)[1][-1])
-    for start_s in (8.0, 40.0, 72.0):
-        begin = round(start_s / APART_S)
-        found, deviation = followed(known, TIME_S[begin:], y[begin:])
-        held = np.abs(found - strain[begin:]) < 1.96 * deviation
-        assert held[:10].mean() > 0.95
-        assert held.mean() > 0.9
-        assert np.median(deviation[0]) > 2 * narrow
-
-
-def test_between_times_at_which_laws_are_followed_strain_goes_on_and_a_gap_makes_deviations_wide():
-    """A step of ln R shows at once, by the slope of the law with no contact broken: 2 + g₁, where nothing rests."""
-    follower = SensorFilter(memory=LOADING).start(PILLARS)
-    _, y = shown(SENSORS_MEMORY)
-    for each in y[: MARKS[0]]:
-        before, narrow = follower.step(each, APART_S)
-    after, _ = follower.step(y[MARKS[0] - 1] + 0.01, READ_S / 2)
-    assert (after - before) == pytest.approx(0.01 / (2 + SENSORS_MEMORY.g1), rel=0.3)
-    _, wide = follower.step(y[MARKS[1]], 30.0)
-    assert np.median(wide) > 2 * np.median(narrow)
-
-
-def test_an_hour_leaves_the_state_bounded_and_rest_at_rest():
-    _, y = shown(SENSORS_MEMORY)
-    follower = SensorFilter(memory=UNKNOWN).start(PILLARS)
-    for seconds, readings in ((APART_S, y), (1.0, np.zeros((3600, PILLARS)))):
-        for each in readings:
-            found, deviation = follower.step(each, seconds)
-    kept = [value for value in {**vars(follower), **vars(follower._law)}.values() if isinstance(value, np.ndarray)]
-    assert all(np.isfinite(each).all() and np.abs(each).max() < 1e5 for each in kept)
-    assert (np.abs(found) < 0.003).all()
-    assert (deviation < 0.02).all()
-    follower = SensorFilter(memory=UNKNOWN).start(3)  # of readings that come at once, or never
-    for seconds in (0.0, 0.0, 1e9, 1e-9, 0.1):
-        mean, deviation = follower.step(np.array([0.0, 3.0, -3.0]), seconds)
-        assert np.isfinite(mean).all()
-        assert (deviation > 0).all()
