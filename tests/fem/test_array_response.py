@@ -145,12 +145,19 @@ def test_what_no_method_answers_is_refused(settings, design):
         solve_response(replace(UNIT, **design), ResponseSettings(**settings))
 
 
+@pytest.fixture
+def few_tetrahedra(monkeypatch):
+    """A coarse mesh, of two thirds of the unknowns under plates, and ports of a degree less; estimates say so."""
+    monkeypatch.setattr("fem.scene.tetrahedra.LEVELS", 1)
+    monkeypatch.setattr("fem.array.design_cell.MESH_STAGES", ((0, 1, 5),))
+
+
 @pytest.mark.parametrize(
     "changes",
     [{}, pytest.param({"pillar_material": Material(young_mpa=1.5)}, marks=pytest.mark.long)],
     ids=["one rubber", "pillars a quarter as stiff"],
 )
-def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, shared_cache):
+def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, few_tetrahedra, shared_cache):
     """By other meshes, under plates that end where pillars do: a pair apart by less than both estimate, not idly."""
     design = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"), **changes)
     cells, solids = (
@@ -161,7 +168,7 @@ def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, shared_cache):
     assert stated / 20 < block_error(blocks(solids), blocks(cells)) < stated < 6e-2
 
 
-def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(shared_cache, monkeypatch):
+def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(few_tetrahedra, shared_cache, monkeypatch):
     """Both coarse, apart by less than they estimate together; found again at once."""
     monkeypatch.setattr("fem.array.solving.USUAL_TOLERANCES", (0.1, 0.1))
     unit = check_unit(UNIT)
