@@ -145,13 +145,6 @@ def test_what_no_method_answers_is_refused(settings, design):
         solve_response(replace(UNIT, **design), ResponseSettings(**settings))
 
 
-@pytest.fixture
-def few_tetrahedra(monkeypatch):
-    """A coarse mesh, not graded to plates, a third of the unknowns, and ports of a degree less: estimates say so."""
-    monkeypatch.setattr("fem.scene.tetrahedra.LEVELS", 0)
-    monkeypatch.setattr("fem.array.design_cell.MESH_STAGES", ((0, 1, 5),))
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -160,7 +153,7 @@ def few_tetrahedra(monkeypatch):
     ],
     ids=["one rubber", "pillars a quarter as stiff"],
 )
-def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, few_tetrahedra, shared_cache):
+def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, shared_cache):
     """By other meshes, under plates that end where pillars do: a pair apart by less than both estimate, not idly."""
     design = SensorDesign(array=Array(rows=1, cols=2), pad=Pad(kind="stiff"), **changes)
     cells, solids = (
@@ -172,9 +165,11 @@ def test_cad_solids_on_tetrahedra_answer_as_cells_do(changes, few_tetrahedra, sh
 
 
 @pytest.mark.parametrize("kind", [pytest.param("soft", marks=pytest.mark.wide), "stiff"])
-def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(kind, few_tetrahedra, shared_cache, monkeypatch):
+def test_the_cell_of_a_response_is_close_to_a_unit_of_cad_solids(kind, shared_cache, monkeypatch):
     """Both coarse, apart by less than they estimate together; found again at once. Plates end where pillars do."""
     monkeypatch.setattr("fem.array.solving.USUAL_TOLERANCES", (0.1, 0.1))
+    monkeypatch.setattr("fem.scene.tetrahedra.LEVELS", 0)  # of grading to plates: a third of the unknowns
+    monkeypatch.setattr("fem.array.design_cell.MESH_STAGES", ((0, 1, 5),))
     design = replace(UNIT, pad=Pad(kind=kind))
     unit = check_unit(design)
     assert 1e-4 < unit.difference < unit.stated < 0.05

@@ -98,8 +98,8 @@ def test_boxes_and_tetrahedra_agree_within_what_both_state(times, less):
 def test_boxes_that_miss_the_tolerance_give_way_to_tetrahedra(monkeypatch):
     """And the steps say so; here of what both would find."""
     for kind, error in ((CutCell, 8e-3), (DesignCell, 4e-3)):
-        found = RefinedCell(cells=(), error_estimate=error, steps=(kind.__name__,), seconds={"mesh": 1.0}), np.array(error)
-        monkeypatch.setattr(kind, "refined", lambda *_, found=found: found)
+        cell = RefinedCell(cells=(), error_estimate=error, steps=(kind.__name__,), seconds={"mesh": 1.0})
+        monkeypatch.setattr(kind, "refined", lambda *_, cell=cell: (cell, np.array(cell.error_estimate)))
     for tolerance, error, said, mesh_s in (
         (1e-2, 8e-3, ["boxes that pillars cut, much cheaper than tetrahedra", "CutCell"], 1.0),
         (6e-3, 4e-3, ["boxes that pillars cut, much cheaper than tetrahedra", "CutCell",
