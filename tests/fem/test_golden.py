@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from common.errors import TriPillarError
+from fem.array.cut_cell import why_tetrahedra
 from fem.array.solving import ResponseSettings, array_response, solve_response
 from fem.finite.samples import SampleSolver
 from fem.methods.solving import solve_scene
@@ -103,9 +104,10 @@ def test_scenes_of_the_benchmark_are_where_ngsolve_finds_them(name):
 def test_responses_are_what_they_were(name, shared_cache):
     """Blocks of pads, relative to the loaded pad's own. Two rubbers are in boxes today, and were in tetrahedra then."""
     given = GOLDEN["responses"][name]
-    found, *_ = array_response(design_from_dict(given["design"]), ResponseSettings(tolerance=given["run"]))
+    design = design_from_dict(given["design"])
+    found, *_ = array_response(design, ResponseSettings(tolerance=given["run"]))
     allowed, B = found.error_estimate + given["stated"], found.influence_mm_per_n
-    assert (name == "two rubbers") == found.steps[0].startswith("boxes")
+    assert design.is_homogeneous or why_tetrahedra(design, given["run"]) is None
     for key, block in given["blocks"].items():
         i, j, k, m = map(int, key.replace(" ", ""))
         own = np.linalg.norm(B[k, m, :, :, k, m])
