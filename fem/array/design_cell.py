@@ -52,7 +52,7 @@ WEIGHTS = {"soft": Weights(1.0, 1.5, 0.3, 0.5, 1.0), "stiff": Weights(2.0, 2.0, 
 #: degree 8 it changes a contact's forces at a rim by 0.2 %
 GRID_LEVEL, GRID_DEGREE = 2, 6
 MESH_LEVEL, MESH_DEGREE = 1, 5  #: of a cell with pillars of another rubber
-CAD_LEVEL = 0.5  #: of the coarsest mesh of CAD solids: edges twice as long as of a mesh to look at
+CAD_LEVEL = 1.0  #: of the coarsest mesh of CAD solids: the mesher makes a lower one no coarser, in twice the time
 PUSH = (0.5, 0.5, -1.0)  #: on the pad of a cell whose mesh is refined, by direction
 #: convergence that is reckoned with: of grids as level^(−rate); of tetrahedra as unknowns^(−rate), 0.9 to 1.6 being
 #: measured under soft pads and 0.5 to 0.6 under stiff ones, whose edges are more singular

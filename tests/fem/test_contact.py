@@ -155,6 +155,7 @@ def test_two_rubbers_are_ngsolve_s_and_continuous_across_units(contrast, level, 
     """
     monkeypatch.setattr("fem.contact.surface.MESH_LEVEL", level)
     monkeypatch.setattr("fem.contact.surface.NEAR_DEGREE", degree)
+    monkeypatch.setattr("fem.contact.surface.STEPS_PER_ELECTRODE", 4)
     soft = Material(young_mpa=6.1 / contrast, poisson=0.49)
     surface, _, _ = surface_compliance(SensorDesign(array=Array(rows=2, cols=2), matrix_material=soft))
     for at_mm, force_n, electrode, moved_mm in NGSOLVE[contrast]:

@@ -59,11 +59,14 @@ MATRICES = {
 }
 
 
+def pardiso() -> str:
+    """Its name where it is there; its own package would search the whole environment for the library, for a second."""
+    return "pardiso" if module.solver_name() == "pardiso" else pytest.skip("PARDISO is not there")
+
+
 @pytest.fixture(scope="module", params=["pardiso", "superlu"])
 def solver(request):
-    if request.param == "pardiso":
-        pytest.importorskip("pypardiso")
-    return request.param
+    return request.param if request.param == "superlu" else pardiso()
 
 
 @pytest.mark.parametrize("name", MATRICES)
@@ -127,7 +130,7 @@ def test_a_wrong_product_is_refused(solver, monkeypatch):
 
 def test_factors_give_their_memory_back():
     """10 factors kept for good would leave 180 MB behind; SuperLU's are SciPy's."""
-    pytest.importorskip("pypardiso")
+    pardiso()
     matrix = elastic(0.3, (8, 8, 3))
 
     def factor_and_forget(times):

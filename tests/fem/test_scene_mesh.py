@@ -62,7 +62,7 @@ def test_grading_to_a_plate_halves_nothing_along_its_edges():
     assert graded_to_plates(mesh, np.empty((0, 4)), 1e-9) is mesh
 
 
-@pytest.mark.parametrize("height_mm", [8.0, 9.0])
+@pytest.mark.parametrize("height_mm", [pytest.param(8.0, marks=pytest.mark.wide), 9.0])
 def test_plates_have_their_outline_where_leaning_pillars_of_another_rubber_cross_it(height_mm: float):
     # the upper electrodes end at the plate's edges; below, their pillars cross the planes of these
     stiff = replace(SensorDesign().pillar_material, young_mpa=180.0)

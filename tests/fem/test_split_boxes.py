@@ -1,7 +1,5 @@
 """How boxes are split, and rubber on boxes of which fine ones hang on coarse ones."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -51,11 +49,14 @@ def test_split_boxes_fill_the_body_and_hold_polynomials_of_their_order(kind):
     mesh = random_mesh(4 if kind == "sheared" else 3, kind)
     low, high = mesh.corners
     assert (high - low).prod(axis=1).sum() == pytest.approx(27.0, rel=1e-12)
-    for axis, one, two in product(range(3), range(len(low)), range(len(low))):
+    start, end = np.maximum(low[:, None], low), np.minimum(high[:, None], high)
+    for axis in range(3):
         others = [d for d in range(3) if d != axis]
-        start, end = np.maximum(low[one], low[two])[others], np.minimum(high[one], high[two])[others]
-        if high[one, axis] == low[two, axis] and (end > start).all():
-            assert any((start == low[b, others]).all() and (end == high[b, others]).all() for b in (one, two))
+        one, two = np.nonzero((high[:, None, axis] == low[:, axis]) & (end > start)[..., others].all(axis=-1))
+        common = start[one, two][:, others], end[one, two][:, others]
+        whole = [((low[b][:, others], high[b][:, others]) == np.array(common)).all(axis=(0, 2)) for b in (one, two)]
+        assert len(one)
+        assert np.any(whole, axis=0).all()
     body = filled(mesh, 4)
     assert body.dx.sum() == pytest.approx(27.0, rel=1e-12)
     x, y, z = mesh.leaning.starts(body.points_mm).T / 3

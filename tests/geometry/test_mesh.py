@@ -31,7 +31,6 @@ from geometry.prism import Prism, pillar_prisms, prisms_at
 from tests.fem.scenes import DIAGONAL, HEXAGON, round_of
 from tests.geometry.closed_forms import union_mm3
 
-COARSE = 0.25  #: level of edges of 5 mm at the top
 ONE = SensorDesign(array=Array(rows=1, cols=1))
 SOFT = replace(ONE, matrix_material=Material(young_mpa=1.0))
 CUBE = Prism(base_mm=(0.5, 0.5, 0.0), top_mm=(0.5, 0.5, 1.0), section_mm=(1.0, 1.0))
@@ -43,8 +42,8 @@ def test_regions_have_the_volumes_of_their_closed_forms_and_the_outside_lies_on_
     here.mkdir()
     monkeypatch.setenv("TRIPILLAR_CACHE", str(cache))
     monkeypatch.chdir(here)
-    mesh, path, cached = sensor_mesh(design, COARSE)
-    again, same_path, cached_then = sensor_mesh(design, COARSE)
+    mesh, path, cached = sensor_mesh(design)
+    again, same_path, cached_then = sensor_mesh(design)
     assert (cached, cached_then, path.name) == (False, True, f"mesh-{mesh.cache_key}.vtu")
     assert (again.content_hash, again.cache_key, same_path) == (mesh.content_hash, mesh.cache_key, path)
     assert (list(here.iterdir()), list(cache.iterdir()), Path.cwd()) == ([], [path], here)
@@ -75,21 +74,21 @@ def test_the_cache_key_depends_on_what_shapes_the_mesh_alone(monkeypatch):
     """Another rubber or soft pad finds the same mesh; a plate, unit, pitch, edge or one rubber more does not."""
     stiff = Material(young_mpa=10.0)
     same = replace(ONE, resistivity_ohm_mm=1.0, pad=Pad(size_mm=5.0), pillar_material=stiff, matrix_material=stiff)
-    assert mesh_cache_key(same, COARSE) == mesh_cache_key(ONE, COARSE)
+    assert mesh_cache_key(same) == mesh_cache_key(ONE)
     others = [
-        (ONE, COARSE),
-        (SOFT, COARSE),
-        (replace(ONE, array=Array(rows=1, cols=2)), COARSE),
-        (replace(ONE, unit=replace(ONE.unit, height_mm=9.0)), COARSE),
-        (replace(ONE, pad=Pad(kind="stiff")), COARSE),
-        (ONE, 0.3),
+        (ONE,),
+        (SOFT,),
+        (replace(ONE, array=Array(rows=1, cols=2)),),
+        (replace(ONE, unit=replace(ONE.unit, height_mm=9.0)),),
+        (replace(ONE, pad=Pad(kind="stiff")),),
+        (ONE, 2.0),
     ]
     assert len({mesh_cache_key(*each) for each in others}) == len(others)
     rounded = replace(SOFT, unit=Unit(layout=round_of(LAYOUTS["upright-four"])))
     keys = []
     for sides in (8, 12):
         monkeypatch.setattr("geometry.mesh.MESHED_SIDES", sides)
-        keys.append([mesh_cache_key(one, COARSE) for one in (rounded, SOFT)])
+        keys.append([mesh_cache_key(one) for one in (rounded, SOFT)])
     assert keys[0][0] != keys[1][0]
     assert keys[0][1] == keys[1][1]
 
@@ -162,7 +161,7 @@ def test_a_mesh_that_lost_its_shape_is_tried_again_with_a_tighter_envelope(monke
 
     monkeypatch.setattr("geometry.mesh._one_mesh", badly)
     with pytest.raises(GeometryError, match="gone"):
-        sensor_mesh(ONE, COARSE)
+        sensor_mesh(ONE)
     assert envelopes == [0.04, 0.02, 0.01, 0.005]
 
 

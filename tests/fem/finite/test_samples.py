@@ -68,7 +68,9 @@ def test_resistances_have_no_jumps_along_a_path_of_loads(solver, few_potentials)
     assert np.abs(np.diff(changes, 4, axis=0)).max() / np.sqrt(70) < 1e-4
 
 
-@pytest.mark.parametrize("matrix_mpa", [1.0, 0.3], ids=["6 times as soft", "20 times as soft"])
+@pytest.mark.parametrize(
+    "matrix_mpa", [pytest.param(1.0, marks=pytest.mark.long), 0.3], ids=["6 times as soft", "20 times as soft"]
+)
 def test_two_rubbers_are_a_finer_grid_s_to_the_stated_error(matrix_mpa):
     """A lone unit, lines four times as dense in each direction as at first, at strains far from linear."""
     alone = replace(PAIR, array=Array(rows=1, cols=1), matrix_material=Material(young_mpa=matrix_mpa))

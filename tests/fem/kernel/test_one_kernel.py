@@ -47,6 +47,8 @@ def test_all_elements_are_the_kernel_s(solve, kind, monkeypatch, tmp_path):
         made.append(self if kind is Basis else self.basis)
 
     monkeypatch.setenv("TRIPILLAR_CACHE", str(tmp_path))
+    for name, value in (("GRID_LEVEL", 1), ("GRID_DEGREE", 2), ("STEPS_PER_ELECTRODE", 2)):
+        monkeypatch.setattr(f"fem.contact.surface.{name}", value)
     monkeypatch.setattr(kind, "__init__", noted)
     solve()
     assert made
