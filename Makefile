@@ -8,7 +8,7 @@ WORKERS = --numprocesses $(shell $(PYTHON) -c 'import os; print(min(5, 1 + os.cp
 export PYTHONDONTWRITEBYTECODE :=  # compiled files are kept, so that the many processes which tests start load quickly
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train dataset picture paper bench edge-cases robustness firmware simulator hardware-test test test-long docs check format clean
+.PHONY: help setup train dataset picture paper bench edge-cases robustness firmware simulator hardware-test test test-wide test-long docs check format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -59,6 +59,9 @@ simulator: firmware  ## the program that runs that firmware on a simulated chip
 hardware-test: $(READY)  ## run those of real ports, simulated chips and a real browser, and say why any is skipped
 	$(BIN)/python -m pytest $(WORKERS) -rs -m 'real and not long'
 
+test-wide: $(READY)  ## run more cases of what `make test` holds on one, seconds each, which CI runs too
+	$(BIN)/python -m pytest $(WORKERS) -m wide
+
 test: $(READY)  ## run the tests, a process more than there are cores, since some wait: five at most
 	$(BIN)/python -m pytest $(WORKERS)
 
@@ -73,7 +76,7 @@ check: $(READY)  ## what CI runs: style, types, tests
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(MAKE) test hardware-test
+	$(MAKE) test test-wide hardware-test
 
 format: $(READY)  ## lay the code out
 	$(BIN)/ruff format

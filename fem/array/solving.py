@@ -15,14 +15,14 @@ from fem.array.cell import CondensedCell
 from fem.array.closed_forms import layer_response
 from fem.array.coupled_cells import CoupledArray, TruncatedArray
 from fem.array.cut_cell import refine
-from fem.array.design_cell import MAX_TESTED, PADS, RefinedCell, electrode_means
+from fem.array.design_cell import CAD_LEVEL, MAX_TESTED, PADS, RefinedCell, electrode_means
 from fem.array.response import ArrayResponse, read_response, write_response
 from geometry.design import Electrics, SensorDesign, bent, lone_unit
 from geometry.layout import FloatArray
 
 VERSION = 8  #: raise when the same design and settings give another response, so that cached ones are not reused
 CELL_VERSION = 11  #: the same of refined cells
-MESHED = 2  #: and of responses of pillars of another rubber and of CAD solids, whose cells change more often
+MESHED = 3  #: and of responses of pillars of another rubber and of CAD solids, whose cells change more often
 METHODS = {
     "cells": "copies of one condensed unit cell, refined to the tolerance",
     "tetrahedra": "the same of the unit's CAD solids (build123d), meshed by pytetwild, on scikit-fem's P2 elements",
@@ -155,7 +155,7 @@ def cell_cache_key(design: SensorDesign, tolerance: float, from_cad: bool = Fals
     """Hash of all that a refined cell depends on: not the resistivity, nor the size of an array above `MAX_TESTED`."""
     array = replace(design.array, rows=min(MAX_TESTED, design.array.rows), cols=min(MAX_TESTED, design.array.cols))
     cell = replace(bent(design), array=array, electrics=Electrics())
-    return digest("cell", CELL_VERSION, cell, tolerance, *(["CAD"] if from_cad else []))
+    return digest("cell", CELL_VERSION, cell, tolerance, *(["CAD", CAD_LEVEL] if from_cad else []))
 
 
 def refined_cell(
