@@ -190,10 +190,12 @@ def plan_loads(
     if not 1 <= count <= MAX_NEXT:
         raise DesignError(f"count={count} must be from 1 to {MAX_NEXT}.")
     proposed = planned(sensor, count, have, usual, _tolerances(sensor, tolerances))
-    lines = [f"next: {each.load}; then {100 * each.error:.3g} %" for each in proposed]
+    lines = [
+        f"next: {each.load.replace('nothing', 'nothing on it')}; then {100 * each.error:.3g} %" for each in proposed
+    ]
     if proposed:
         before = 100 * proposed[0].error_before
-        lines = [f"expected error of a force before: {before:.3g} % of the usual ones", *lines]
+        lines = [f"expected error of a force before: {before:.3g} % of a usual force", *lines]
     text = "\n".join(lines) or "next: every load of the list is measured"
     current().answer(lambda: {"next": [vars(one) for one in proposed]}, text)
     return proposed
