@@ -129,7 +129,7 @@ def conducted_by_tiles(
 
 
 def endless_surface(design: SensorDesign) -> SurfaceCompliance:
-    """The same without what rims and pillars of another rubber add: an endless layer, in a second."""
+    """The same without what rims and pillars of another rubber add: an endless layer, in 3 s for 6 × 6."""
     require_bare(design)
     rows, cols = design.array.rows, design.array.cols
     tiles = int(np.ceil(MIN_TILES / min(rows, cols)))
