@@ -62,7 +62,7 @@ def house(tmp_path, monkeypatch):
 def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
     """The model reads loads that were not measured; the loads proposed make the expected error smaller and smaller."""
     told = house.result(*IDENTIFY, "--data", "pairs.csv", *TO_MODEL, "--next", "3")
-    assert told["pairs"] == 4
+    assert (told["pairs"], told["usual"], told["dead"]) == (4, "contact", [])
     assert told["parameters"]["rubber.young_mpa"][0] == pytest.approx(6.1, rel=0.05)
     force_n = np.zeros((1, 3, 3, 3))
     force_n[0, 2, 0] = [20.0, 0.0, 300.0]
@@ -79,9 +79,38 @@ def test_a_stuck_pillar_counts_as_dead(house):
     stuck_ohm = shown(force_n)
     stuck_ohm[:, 1, 2, 0] = 9000.0
     Samples(force_n=force_n, resistance_ohm=stuck_ohm, design=DESIGN).write(house.folder / "stuck.nc")
-    house.result("identify", "--data", "stuck.nc", *TO_MODEL, "-q")
+    words = ("identify", "--data", "stuck.nc", *TO_MODEL, "-q")
+    assert house.result(*words)["dead"] == ["z row 1 col 2"]
+    assert "\npillars that are not read or stuck count as dead: z row 1 col 2\n" in house.tripillar(*words).stdout
     model = read_model(house.folder / "m.safetensors")
     assert (np.argwhere(model.dead).tolist(), model.is_identified) == ([[1, 2, 0]], True)
+
+
+def test_a_pillar_without_a_column_is_named_as_dead(house):
+    lines = [line.split(",") for line in (house.folder / "pairs.csv").read_text().splitlines()]
+    lost = lines[0].index("r_1_1_z")
+    (house.folder / "lost.csv").write_text("\n".join(",".join(line[:lost] + line[lost + 1 :]) for line in lines))
+    assert house.result(*IDENTIFY, "--data", "lost.csv", *TO_MODEL)["dead"] == ["z row 1 col 1"]
+
+
+def test_deviations_hold_for_usual_loads_which_are_said(house):
+    """A data set of a protocol has loads of its own, one of a few chosen loads is a table: contacts are usual."""
+    data = simulate(RESPONSE, DatasetSettings(protocol="three-axis", samples=9))
+    chosen = replace(data, made_from=data.made_from | {"protocol": "table"})
+    for name, samples in (("own.nc", data), ("chosen.nc", chosen)):
+        samples.write(house.folder / name)
+    for words, usual in (
+        (("own.nc",), "three-axis"),
+        (("chosen.nc",), "contact"),
+        (("chosen.nc", "--usual", "three-axis"), "three-axis"),
+    ):
+        command = ("identify", "-q", *TO_MODEL, "--data", *words)
+        assert house.result(*command)["usual"] == usual
+        model = read_model(house.folder / "m.safetensors")
+        assert model.made_from["protocol"] == usual
+        assert model.inverse.centre_n.mean() == pytest.approx(twins._usual_loads(DESIGN, usual).mean())
+    said = house.tripillar("identify", "-q", *TO_MODEL, "--data", "own.nc").stdout
+    assert "deviations hold for three-axis loads alone; for others give --usual" in said
 
 
 def test_doubtful_pairs_are_refused_unless_forced(house):
