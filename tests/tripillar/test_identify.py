@@ -9,6 +9,7 @@ from common.errors import DesignError
 from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
+from decoupler.evaluation.assessment import assess
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model_file import read_model, write_model
 from decoupler.twin import write_twin
@@ -18,7 +19,9 @@ from tests.decoupler.test_finite_strain import identified
 from tests.house import House
 from tripillar.face import stages, twins
 from tripillar.face.caller import Caller, called_by
+from tripillar.face.checks import warn_of_deviations
 from tripillar.face.identifying import identify, plan_loads
+from tripillar.face.learning import train
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -111,6 +114,34 @@ def test_deviations_hold_for_usual_loads_which_are_said(house):
         assert model.inverse.centre_n.mean() == pytest.approx(twins._usual_loads(DESIGN, usual).mean())
     said = house.tripillar("identify", "-q", *TO_MODEL, "--data", "own.nc").stdout
     assert "deviations hold for three-axis loads alone; for others give --usual" in said
+
+
+@pytest.mark.parametrize(
+    ("protocol", "softer", "narrow", "says"),
+    [
+        ("contact", 1.0, (), None),
+        (
+            "three-axis",
+            1.0,
+            ("fx", "fy"),
+            "own is made for contact loads, these are three-axis: 'tripillar identify --usu",
+        ),
+        ("contact", 1.2, ("fz",), "own seems to be of another sensor or other ranges of loads: 'tripillar identify"),
+    ],
+)
+def test_deviations_that_hold_too_few_errors_are_warned_of(protocol, softer, narrow, says):
+    designed = response(sensor(2, 3))
+    tested = replace(designed, influence_mm_per_n=softer * designed.influence_mm_per_n)
+    learned = simulate(designed, DatasetSettings(protocol="contact", samples=400, noise=1e-3))
+    own = train(learned, hidden=2, max_iterations=3, response=designed)
+    others = simulate(tested, DatasetSettings(protocol=protocol, samples=100, seed=2, noise=1e-3))
+    assessed, said = assess(own, others, None), []
+    with called_by(Caller(say=said.append)):
+        warn_of_deviations(own, "own", others, "others", assessed)
+    assert len(said) == (says is not None)
+    for force in narrow:
+        assert f"{force} {assessed[force].coverage[1]:.0%}" in said[0]
+    assert says is None or says in said[0]
 
 
 def test_doubtful_pairs_are_refused_unless_forced(house):

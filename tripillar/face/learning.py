@@ -268,6 +268,7 @@ def evaluate(
     solved = stages.response_of(samples, name, samples.design or decoupler.design, response) if limits else None
     stages.warn_of_test(decoupler, named, samples, name, solved)
     assessed = Evaluation(stages.assess(decoupler, samples, solved))
+    stages.warn_of_deviations(decoupler, named, samples, name, assessed)
     _mention_untrusted(decoupler)
     caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed
