@@ -144,7 +144,7 @@ def test_deviations_that_hold_too_few_errors_are_warned_of(protocol, softer, nar
     assert says is None or says in said[0]
 
 
-def test_doubtful_pairs_are_refused_unless_forced(house):
+def test_doubtful_pairs_are_refused_unless_forced(house, monkeypatch):
     """Forces of contacts are no tractions on pads; and 60 kg are stated whose readings are those of nothing."""
     for words, says in (
         (("--data", "loads.csv"), "load 'rest' has no readings"),
@@ -173,6 +173,9 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
         house.result(*words, *TO_MODEL, "--force")
         assert said in read_model(house.folder / "m.safetensors").made_from["forced"]
         (house.folder / "m.safetensors").unlink()
+    monkeypatch.setattr(twins, "design_of", lambda design: DESIGN)
+    assumed = house.refusal("identify", "--data", "wrong.csv", *TO_MODEL)
+    assert "wrong.csv (no design was given, the paper's was assumed: give --design): load 'two' changed" in assumed
 
 
 def test_python_takes_what_the_command_takes(house, coarse, monkeypatch):

@@ -57,7 +57,7 @@ class Measured:
     """Pairs of a sensor, of a file or fresh from a board."""
 
     pairs: "stages.AnySamples | stages.Pairs"
-    name: str
+    name: str  #: that says if no design was given and the paper's was assumed
     design: SensorDesign | None  #: None of a data set that states none
     electronics: "stages.Electronics"  #: that a board's pairs were read through
     serial: int = 0  #: of the board
@@ -82,9 +82,11 @@ def measured(
             raise DesignError(said)
     known = stages.Electronics() if calibration is None else stages.read_calibration(Path(calibration)).electronics
     electronics = replace(known, **WIRES.of(more))
+    assumed = " (no design was given, the paper's was assumed: give design=)" if design is None else ""
     if port is None:
         pairs, sensor = given_pairs(data, design)
-        return Measured(pairs=pairs, name=name_of(data, "samples"), design=sensor, electronics=electronics)
+        name = name_of(data, "samples") + (assumed if isinstance(pairs, stages.Pairs) else "")
+        return Measured(pairs=pairs, name=name, design=sensor, electronics=electronics)
     sensor = design_of(design)
     board = (port, None if loads is None else Path(loads), sensor, electronics)
     if Path(port).is_file():
@@ -94,7 +96,7 @@ def measured(
     else:
         table = beside if keep is None else Path(keep)
         pairs, serial = stages.measured_live(*board, asked.seconds, force, table, **BARE_BOARD.of(more))
-    return Measured(pairs=pairs, name=port, design=sensor, electronics=electronics, serial=serial)
+    return Measured(pairs=pairs, name=port + assumed, design=sensor, electronics=electronics, serial=serial)
 
 
 def given_pairs(data: Any, design: DesignLike | None) -> "tuple[stages.AnySamples | stages.Pairs, SensorDesign | None]":
