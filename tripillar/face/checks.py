@@ -1,13 +1,16 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
+import numpy as np
 from scipy.special import bdtr
 
 from common.errors import DesignError, require_type
 from dataset import SampleError, Samples
-from dataset.protocols import PROTOCOLS
+from dataset.protocols import INDENT, PROTOCOLS
 from dataset.samples import ENOUGH, FALSE_ALARMS, AnySamples, drawn
+from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.pairs import Pairs
 from decoupler.evaluation.assessment import Assessment
@@ -18,6 +21,7 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
+from geometry.layout import FloatArray
 from tripillar.face.caller import current
 from tripillar.pipeline.stage import respond
 
@@ -98,6 +102,18 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     few = drawn(data)
     forced = heed(doubt(few, component, own), name, force=True)
     mention(few, name, component, own, bool(forced) or isinstance(decoupler, DecouplerAtStrain))
+
+
+def warn_of_predictions(predicted_n: FloatArray, data: AnySamples, name: str, response: ArrayResponse | None) -> None:
+    """Say what looks wrong in another program's forces for samples of pads, whose readings should follow them.
+
+    Along axes that it leaves out, NaN, forces are those of the samples.
+    """
+    if response is None or data.made_from.get("protocol") == INDENT:
+        return
+    whole = data[:]
+    force_n = np.clip(np.where(np.isnan(predicted_n), whole.force_n, predicted_n), -MAX_N, MAX_N)
+    heed(doubt(drawn(replace(whole, force_n=force_n)), COMPONENTS["all"], joint_model(response)), name, force=True)
 
 
 def warn_of_deviations(

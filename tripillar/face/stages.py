@@ -114,6 +114,7 @@ if TYPE_CHECKING:
         require_heeded,
         response_of,
         warn_of_deviations,
+        warn_of_predictions,
         warn_of_test,
     )
     from tripillar.face.measured_loads import measured_in_recording, measured_live
