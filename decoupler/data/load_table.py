@@ -99,6 +99,8 @@ def read_loads(path: Path, design: SensorDesign) -> list[KnownLoad]:
     lines = read_table(path, form, MAX_LOADS, "give fewer loads, or samples, of which some are drawn")
     header = [name for name in form.header if name]
     unknown = [name for name in header if name not in COLUMNS and name not in readings]
+    if wrong := next((name for name in unknown if name.startswith(tuple(f"{reading}_" for reading in readings))), None):
+        raise FileFormatError(f"{path}: has a column '{wrong}': readings are in Ω, in columns such as {readings[0]}.")
     if given := _other_array(header, rows, cols, design.unit.layout):
         raise FileFormatError(
             f"{path}: has readings of {given}, the design has {rows} × {cols} with pillars "
@@ -288,7 +290,8 @@ class _Line:
             text = self.text(name)
             found = re.fullmatch(r"(-?\d{1,9})" if one else r"(?:(\d{1,9})(?:\s*-\s*(\d{1,9}))?)?", text)
             if found is None:
-                raise FileFormatError(f"{self.source}: {name} is {text[:20]!r}, must be a whole number.")
+                no_pad = "" if text else "; of a line without a load write kind nothing"
+                raise FileFormatError(f"{self.source}: {name} is {text[:20]!r}, must be a whole number{no_pad}.")
             ends = [int(end) for end in found.groups() if end] or [0, count - 1]
             if not 0 <= ends[0] <= ends[-1] < count:
                 raise FileFormatError(

@@ -72,5 +72,5 @@ def train(
         "data_hash": data.content_hash,
         "n_samples": len(few),
     }
-    of_twin = {name: few.made_from[name] for name in ("twin",) if name in few.made_from}
-    return replace(trained, made_from=of_twin | trained.made_from | story)
+    of_data = {name: few.made_from[name] for name in ("twin", "protocol") if name in few.made_from}
+    return replace(trained, made_from=of_data | trained.made_from | story)

@@ -147,6 +147,17 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     own_n = np.where([False, False, True], of_fz.forces(pressed.resistance_ohm), np.nan)
     one = tp.evaluate(predictions=own_n, data=pressed, response=solved)["fz"]
     assert (one.limits, one.ratio) == ((own := tp.evaluate(of_fz, pressed, response=solved)["fz"]).limits, own.ratio)
+    for wrong_n, said in (
+        (data.force_n * [1, 1, -1], "predictions: forces along z seem to have the other sign"),
+        (
+            np.where([0, 0, 1], 1e-3 * data.force_n, np.nan),
+            "predictions: forces along z are 0.001 of what the readings",
+        ),
+        (1e6 * data.force_n, "predictions: "),
+        (data.force_n[::-1], "predictions: the readings fit the forces worse than if nothing linked them"),
+    ):
+        with pytest.warns(UserWarning, match=said):
+            tp.evaluate(predictions=wrong_n, data=data, response=solved)
     for wrong, said in (
         (fz_alone[:-1], "one for each sample"),
         (data.force_n * [1, 1, np.nan], "all three, or one alone"),

@@ -141,6 +141,16 @@ def test_pairs_that_are_kept_come_back(tmp_path):
         (["x,0,0,2.5,9"], "load,row,col,fz_n,r_0_0_z2", "readings of a pillar z2, the design has 2 × 3 with pillars z"),
         (["x,0,0,2.5,9"], f"load,row,col,fz_n,r_{'9' * 5000}_0_z", "of 1000000000 × 1 units"),
         ([f"x,{'9' * 5000},0,2.5"], "load,row,col,fz_n", "line 2: row is '99999999999999999999', must be a whole"),
+        (
+            ["x,,,0"],
+            "load,row,col,fz_n",
+            "row is '', must be a whole number; of a line without a load write kind nothing",
+        ),
+        (
+            ["x,0,0,2.5,9"],
+            "load,row,col,fz_n,r_0_0_z_kohm",
+            "'r_0_0_z_kohm': readings are in Ω, in columns such as r_0_",
+        ),
         (["x,0,0,2.5"], "load,row,col,fz_n", "load 'x' has no readings: give columns r_0_0_z"),
     ],
 )

@@ -9,6 +9,7 @@ from common.errors import DesignError
 from dataset import DatasetSettings, Samples, read_samples, simulate
 from decoupler.data.columns import component_named, force_columns
 from decoupler.data.load_table import keep_pair, read_loads, read_pairs
+from decoupler.evaluation.assessment import assess
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model_file import read_model, write_model
 from decoupler.twin import write_twin
@@ -18,7 +19,9 @@ from tests.decoupler.test_finite_strain import identified
 from tests.house import House
 from tripillar.face import stages, twins
 from tripillar.face.caller import Caller, called_by
+from tripillar.face.checks import warn_of_deviations
 from tripillar.face.identifying import identify, plan_loads
+from tripillar.face.learning import train
 
 DESIGN = sensor(3, 3)
 RESPONSE = response(DESIGN)
@@ -62,7 +65,7 @@ def house(tmp_path, monkeypatch):
 def test_a_table_of_pairs_gives_a_model_and_what_to_measure_next(house):
     """The model reads loads that were not measured; the loads proposed make the expected error smaller and smaller."""
     told = house.result(*IDENTIFY, "--data", "pairs.csv", *TO_MODEL, "--next", "3")
-    assert told["pairs"] == 4
+    assert (told["pairs"], told["usual"], told["dead"]) == (4, "contact", [])
     assert told["parameters"]["rubber.young_mpa"][0] == pytest.approx(6.1, rel=0.05)
     force_n = np.zeros((1, 3, 3, 3))
     force_n[0, 2, 0] = [20.0, 0.0, 300.0]
@@ -79,12 +82,69 @@ def test_a_stuck_pillar_counts_as_dead(house):
     stuck_ohm = shown(force_n)
     stuck_ohm[:, 1, 2, 0] = 9000.0
     Samples(force_n=force_n, resistance_ohm=stuck_ohm, design=DESIGN).write(house.folder / "stuck.nc")
-    house.result("identify", "--data", "stuck.nc", *TO_MODEL, "-q")
+    words = ("identify", "--data", "stuck.nc", *TO_MODEL, "-q")
+    assert house.result(*words)["dead"] == ["z row 1 col 2"]
+    assert "\npillars that are not read or stuck count as dead: z row 1 col 2\n" in house.tripillar(*words).stdout
     model = read_model(house.folder / "m.safetensors")
     assert (np.argwhere(model.dead).tolist(), model.is_identified) == ([[1, 2, 0]], True)
 
 
-def test_doubtful_pairs_are_refused_unless_forced(house):
+def test_a_pillar_without_a_column_is_named_as_dead(house):
+    lines = [line.split(",") for line in (house.folder / "pairs.csv").read_text().splitlines()]
+    lost = lines[0].index("r_1_1_z")
+    (house.folder / "lost.csv").write_text("\n".join(",".join(line[:lost] + line[lost + 1 :]) for line in lines))
+    assert house.result(*IDENTIFY, "--data", "lost.csv", *TO_MODEL)["dead"] == ["z row 1 col 1"]
+
+
+def test_deviations_hold_for_usual_loads_which_are_said(house):
+    """A data set of a protocol has loads of its own, one of a few chosen loads is a table: contacts are usual."""
+    data = simulate(RESPONSE, DatasetSettings(protocol="three-axis", samples=9))
+    chosen = replace(data, made_from=data.made_from | {"protocol": "table"})
+    for name, samples in (("own.nc", data), ("chosen.nc", chosen)):
+        samples.write(house.folder / name)
+    for words, usual in (
+        (("own.nc",), "three-axis"),
+        (("chosen.nc",), "contact"),
+        (("chosen.nc", "--usual", "three-axis"), "three-axis"),
+    ):
+        command = ("identify", "-q", *TO_MODEL, "--data", *words)
+        assert house.result(*command)["usual"] == usual
+        model = read_model(house.folder / "m.safetensors")
+        assert model.made_from["protocol"] == usual
+        assert model.inverse.centre_n.mean() == pytest.approx(twins._usual_loads(DESIGN, usual).mean())
+    said = house.tripillar("identify", "-q", *TO_MODEL, "--data", "own.nc").stdout
+    assert "deviations hold for three-axis loads alone; for others give --usual" in said
+
+
+@pytest.mark.parametrize(
+    ("protocol", "softer", "narrow", "says"),
+    [
+        ("contact", 1.0, (), None),
+        (
+            "three-axis",
+            1.0,
+            ("fx", "fy"),
+            "own is made for contact loads, these are three-axis: 'tripillar identify --usu",
+        ),
+        ("contact", 1.2, ("fz",), "own seems to be of another sensor or other ranges of loads: 'tripillar identify"),
+    ],
+)
+def test_deviations_that_hold_too_few_errors_are_warned_of(protocol, softer, narrow, says):
+    designed = response(sensor(2, 3))
+    tested = replace(designed, influence_mm_per_n=softer * designed.influence_mm_per_n)
+    learned = simulate(designed, DatasetSettings(protocol="contact", samples=400, noise=1e-3))
+    own = train(learned, hidden=2, max_iterations=3, response=designed)
+    others = simulate(tested, DatasetSettings(protocol=protocol, samples=100, seed=2, noise=1e-3))
+    assessed, said = assess(own, others, None), []
+    with called_by(Caller(say=said.append)):
+        warn_of_deviations(own, "own", others, "others", assessed)
+    assert len(said) == (says is not None)
+    for force in narrow:
+        assert f"{force} {assessed[force].coverage[1]:.0%}" in said[0]
+    assert says is None or says in said[0]
+
+
+def test_doubtful_pairs_are_refused_unless_forced(house, monkeypatch):
     """Forces of contacts are no tractions on pads; and 60 kg are stated whose readings are those of nothing."""
     for words, says in (
         (("--data", "loads.csv"), "load 'rest' has no readings"),
@@ -113,6 +173,9 @@ def test_doubtful_pairs_are_refused_unless_forced(house):
         house.result(*words, *TO_MODEL, "--force")
         assert said in read_model(house.folder / "m.safetensors").made_from["forced"]
         (house.folder / "m.safetensors").unlink()
+    monkeypatch.setattr(twins, "design_of", lambda design: DESIGN)
+    assumed = house.refusal("identify", "--data", "wrong.csv", *TO_MODEL)
+    assert "wrong.csv (no design was given, the paper's was assumed: give --design): load 'two' changed" in assumed
 
 
 def test_python_takes_what_the_command_takes(house, coarse, monkeypatch):

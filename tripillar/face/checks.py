@@ -1,10 +1,19 @@
 """Checks of samples: a mistake is refused unless it is forced; what only costs accuracy is said in a line."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import bdtr
+
 from common.errors import DesignError, require_type
 from dataset import SampleError, Samples
-from dataset.samples import AnySamples, drawn
+from dataset.protocols import INDENT, PROTOCOLS
+from dataset.samples import ENOUGH, FALSE_ALARMS, AnySamples, drawn
+from dataset.variables import MAX_N
 from decoupler.data.columns import COMPONENTS, Columns, Component
 from decoupler.data.pairs import Pairs
+from decoupler.evaluation.assessment import Assessment
 from decoupler.evaluation.plausibility import disturbance, doubt, suspicion
 from decoupler.inverse.sensor_model import SensorModel
 from decoupler.model.at_strain import DecouplerAtStrain
@@ -12,8 +21,12 @@ from decoupler.model.decoupler import Decoupler
 from decoupler.model.settings import NetworkConfig
 from fem.array.response import ArrayResponse
 from geometry.design import SensorDesign
+from geometry.layout import FloatArray
 from tripillar.face.caller import current
 from tripillar.pipeline.stage import respond
+
+#: least part of errors that 95 % deviations hold of a sensor that is not quite the model: docs/results.md has 86 %
+LEAST_HELD = 0.85
 
 
 def joint_model(response: ArrayResponse | None) -> SensorModel | None:
@@ -89,6 +102,41 @@ def warn_of_test(decoupler: Decoupler, model: str, data: AnySamples, name: str, 
     few = drawn(data)
     forced = heed(doubt(few, component, own), name, force=True)
     mention(few, name, component, own, bool(forced) or isinstance(decoupler, DecouplerAtStrain))
+
+
+def warn_of_predictions(predicted_n: FloatArray, data: AnySamples, name: str, response: ArrayResponse | None) -> None:
+    """Say what looks wrong in another program's forces for samples of pads, whose readings should follow them.
+
+    Along axes that it leaves out, NaN, forces are those of the samples.
+    """
+    if response is None or data.made_from.get("protocol") == INDENT:
+        return
+    whole = data[:]
+    force_n = np.clip(np.where(np.isnan(predicted_n), whole.force_n, predicted_n), -MAX_N, MAX_N)
+    heed(doubt(drawn(replace(whole, force_n=force_n)), COMPONENTS["all"], joint_model(response)), name, force=True)
+
+
+def warn_of_deviations(
+    decoupler: Decoupler, model: str, data: AnySamples, name: str, assessed: Mapping[str, Assessment]
+) -> None:
+    """Say which 95 % deviations hold far fewer errors than they say, the loads of both sides, and what to do.
+
+    Fewer than `LEAST_HELD` by more than binomial chance, where the forces of a sample, which err together, count once.
+    """
+    n = min(len(data), ENOUGH)
+    held = {force: one.coverage[1] for force, one in assessed.items()}
+    narrow = [f"{force} {share:.0%}" for force, share in held.items() if bdtr(share * n, n, LEAST_HELD) < FALSE_ALARMS]
+    if not narrow:
+        return
+    ours, theirs = (made_from.get("protocol") for made_from in (decoupler.made_from, data.made_from))
+    why = f"{model} is made for {ours or 'other'} loads{f', these are {theirs}' if theirs else ''}"
+    if ours == theirs is not None:
+        why = f"{model} seems to be of another sensor or other ranges of loads"
+    usual = f" --usual {theirs}" if theirs in PROTOCOLS else ""
+    current().say(
+        f"warning: {name}: 95 % deviations hold too few errors ({', '.join(narrow)}): {why}: 'tripillar identify"
+        f"{usual}' from pairs, or train on such data"
+    )
 
 
 def fits(design: SensorDesign, samples: AnySamples) -> bool:

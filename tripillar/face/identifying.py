@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+
 from common.errors import DesignError
 from geometry.design import SensorDesign
 from geometry.design_file import read_tolerances
@@ -67,7 +69,7 @@ def identify(
     pairs : int, optional
         Number of pairs to use, from the first on; default: all.
     usual : str, optional
-        Loads that it will meet; default: a data set's own, else contact, or contact-fz for sensors without shear.
+        Loads that it will meet; default: a data set's own; of tables contact, or contact-fz without shear.
     tolerances : mapping, optional
         Standard deviations of parameters by their keys, 0 for what is exactly known; default: the file's, else usual.
     finite : Samples, Decoupler or path, optional
@@ -123,13 +125,23 @@ def identify(
             raise DesignError(f"pairs={pairs} must be at most {len(given.pairs)}: there are no more.")
         given = replace(given, pairs=given.pairs[:pairs])
     found = identified(given, usual, _tolerances(design, tolerances), finite, force)
+    protocol = found.decoder.made_from["protocol"]
+    dead = [
+        f"{found.decoder.layout.pillar_names[pillar]} row {row} col {col}"
+        for row, col, pillar in np.argwhere(found.decoder.dead)
+    ]
     result: dict[str, Any] = {
         "pairs": found.n_pairs,
+        "usual": protocol,
+        "dead": dead,
         "parameters": {name: list(value) for name, value in found.parameters.items()},
         "excess": found.posterior.excess,
     }
     lines = [f"{name}: {value:.5g} ± {deviation:.2g}" for name, (value, deviation) in found.parameters.items()]
     lines.append(f"{found.n_pairs} pairs; χ² of their readings over their number: {found.posterior.excess:.3g}")
+    lines += [f"pillars that are not read or stuck count as dead: {', '.join(dead)}"] if dead else []
+    held = "loads like those given" if protocol is None else f"{protocol} loads"
+    lines.append(f"deviations hold for {held} alone; for others give --usual, such as three-axis")
     if path is not None:
         stages.write_model(found.decoder, path)
         result["file"] = str(path)

@@ -249,9 +249,10 @@ def evaluate(
     if predictions is not None:
         samples = samples_of(data)
         solved = stages.response_of(samples, name, samples.design, response) if limits else None
-        if isinstance(predictions, Path | str):
-            predictions = stages.read_predictions(Path(predictions))
-        assessed = Evaluation(stages.assess_predictions(np.asarray(predictions, float), samples, solved))
+        told = stages.read_predictions(Path(predictions)) if isinstance(predictions, Path | str) else predictions
+        predicted_n = np.asarray(told, float)
+        assessed = Evaluation(stages.assess_predictions(predicted_n, samples, solved))
+        stages.warn_of_predictions(predicted_n, samples, name_of(predictions, "predictions"), solved)
         caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
         return assessed
     assert model is not None  # there are neither folds nor predictions
@@ -268,6 +269,7 @@ def evaluate(
     solved = stages.response_of(samples, name, samples.design or decoupler.design, response) if limits else None
     stages.warn_of_test(decoupler, named, samples, name, solved)
     assessed = Evaluation(stages.assess(decoupler, samples, solved))
+    stages.warn_of_deviations(decoupler, named, samples, name, assessed)
     _mention_untrusted(decoupler)
     caller.answer(lambda: stages.as_plain(assessed), lambda: [stages.assessment_table(assessed)])
     return assessed

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from dataset.leaves import is_zarr, require_zarr_place
     from dataset.loads import PAPERS, Loads, loads_of
     from dataset.measurement import ReadingError, Readout
-    from dataset.protocols import INDENT, PROTOCOLS, forces
+    from dataset.protocols import INDENT, PROTOCOLS, TABLE, forces
     from dataset.samples import ENOUGH, AnySamples, Samples, joined, require_dtype, require_samples
     from dataset.simulation import require_memory
     from dataset.stored import StoredSamples, in_memory, read_predictions, read_samples
@@ -113,6 +113,8 @@ if TYPE_CHECKING:
         mention,
         require_heeded,
         response_of,
+        warn_of_deviations,
+        warn_of_predictions,
         warn_of_test,
     )
     from tripillar.face.measured_loads import measured_in_recording, measured_live

@@ -57,7 +57,7 @@ class Measured:
     """Pairs of a sensor, of a file or fresh from a board."""
 
     pairs: "stages.AnySamples | stages.Pairs"
-    name: str
+    name: str  #: that says if no design was given and the paper's was assumed
     design: SensorDesign | None  #: None of a data set that states none
     electronics: "stages.Electronics"  #: that a board's pairs were read through
     serial: int = 0  #: of the board
@@ -82,9 +82,11 @@ def measured(
             raise DesignError(said)
     known = stages.Electronics() if calibration is None else stages.read_calibration(Path(calibration)).electronics
     electronics = replace(known, **WIRES.of(more))
+    assumed = " (no design was given, the paper's was assumed: give design=)" if design is None else ""
     if port is None:
         pairs, sensor = given_pairs(data, design)
-        return Measured(pairs=pairs, name=name_of(data, "samples"), design=sensor, electronics=electronics)
+        name = name_of(data, "samples") + (assumed if isinstance(pairs, stages.Pairs) else "")
+        return Measured(pairs=pairs, name=name, design=sensor, electronics=electronics)
     sensor = design_of(design)
     board = (port, None if loads is None else Path(loads), sensor, electronics)
     if Path(port).is_file():
@@ -94,7 +96,7 @@ def measured(
     else:
         table = beside if keep is None else Path(keep)
         pairs, serial = stages.measured_live(*board, asked.seconds, force, table, **BARE_BOARD.of(more))
-    return Measured(pairs=pairs, name=port, design=sensor, electronics=electronics, serial=serial)
+    return Measured(pairs=pairs, name=port + assumed, design=sensor, electronics=electronics, serial=serial)
 
 
 def given_pairs(data: Any, design: DesignLike | None) -> "tuple[stages.AnySamples | stages.Pairs, SensorDesign | None]":
@@ -125,14 +127,18 @@ def identified(
     _require_size(few.force_n.shape[1:3], sensor, name)
     response, sensitivities = with_derivatives(sensor, tolerances)
     checked, forced = _checked_pairs(few, name, response, force)
-    loads_n = _usual_loads(sensor, usual) if usual or isinstance(pairs, stages.Pairs) else None
+    drawn_from = None if isinstance(pairs, stages.Pairs) else pairs.made_from.get("protocol")
+    if isinstance(pairs, stages.Pairs) or drawn_from == stages.TABLE:  # a few loads, chosen to tell much
+        usual = usual or _usual_protocol(sensor)
+    loads_n = None if usual is None else _usual_loads(sensor, usual)
     at_strain = None if finite is None else _at_strain(finite, response)
     advance = current().bars.begin("identify", total=1)
     twin = stages.identify(
         checked, response, sensitivities, "fz" if untold(sensor.unit) else None, loads_n=loads_n, at_strain=at_strain,
         progress=lambda share: advance(share, f"{len(checked)} pairs"),
     )  # fmt: skip
-    return replace(twin, decoder=replace(twin.decoder, made_from=twin.decoder.made_from | forced))
+    made_from = twin.decoder.made_from | forced | {"protocol": usual or drawn_from}
+    return replace(twin, decoder=replace(twin.decoder, made_from=made_from))
 
 
 def _require_size(size: tuple[int, ...], sensor: SensorDesign, name: str) -> None:
@@ -206,7 +212,8 @@ def planned(
     """Loads to measure next on a sensor that is identified, or to begin with on one of a design."""
     twin = sensor if isinstance(sensor, stages.Twin) else None
     design = design_of(sensor) if not isinstance(sensor, stages.Twin) else sensor.design
-    possible, usual_n = _bearable(possible_loads(design, have), design), _usual_loads(design, usual)
+    possible = _bearable(possible_loads(design, have), design)
+    usual_n = _usual_loads(design, usual or _usual_protocol(design))
     named = "fz" if untold(design.unit) else "all"
     if twin is not None and twin.decoder.component.name == named:
         expected, state = twin.posterior.expected, twin.posterior.state
@@ -237,9 +244,13 @@ def _loads_of(design: SensorDesign) -> "stages.Loads":
     return stages.loads_of(stages.respond(design, current().bars)[1])
 
 
-def _usual_loads(design: SensorDesign, protocol: str | None) -> FloatArray:
-    """Random loads of a protocol that suit the design, (n, rows, cols, 3) [N]; of none those of contacts."""
-    protocol = protocol or ("contact-fz" if untold(design.unit) else "contact")
+def _usual_protocol(design: SensorDesign) -> str:
+    """The protocol of contacts, whose forces the design's pillars tell."""
+    return "contact-fz" if untold(design.unit) else "contact"
+
+
+def _usual_loads(design: SensorDesign, protocol: str) -> FloatArray:
+    """Random loads of a protocol that suit the design, (n, rows, cols, 3) [N]."""
     if protocol not in stages.PROTOCOLS:
         raise DesignError(f"usual={protocol!r} is unknown; choose one of {', '.join(stages.PROTOCOLS)}.")
     return stages.usual_loads(protocol, design, stages.N_LOADS, _loads_of(design))
