@@ -60,6 +60,7 @@ def test_a_given_response_is_used_and_what_is_of_another_design_type_or_name_ref
             call(samples)
     for call, says in (
         (lambda: tp.write({}, "x"), "a dict cannot be written"),
+        (lambda: tp.sweep({}), r"^file is of type dict, expected a path: write it to a file \(TOML\)\.$"),
         (lambda: tp.dataset(nois=0.1), "nois= is no argument; there are bits, "),
     ):
         with pytest.raises(tp.TriPillarError, match=says):
