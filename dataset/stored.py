@@ -194,7 +194,8 @@ def read_samples(path: Path, labels_only: bool = False) -> Samples | StoredSampl
 
 def read_predictions(path: Path) -> FloatArray:
     """Forces (n, rows, cols, 3) [N] of another program's NetCDF file, labelled or x, y, z; errors as of the samples."""
-    read = read_netcdf(path, {"force_n": VARIABLES["force_n"].dims}, "xarray: ds.to_netcdf(FILE)")
+    dims = VARIABLES["force_n"].dims
+    read = read_netcdf(path, {"force_n": dims}, f"xarray.Dataset(dict(force_n=({dims}, F))).to_netcdf(FILE)")
     return np.asarray(_contract(path, read, PAPERS).data_vars["force_n"].values, np.float64)
 
 

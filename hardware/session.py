@@ -56,7 +56,7 @@ def connect(
     known = None if calibration is None else read_calibration(Path(calibration))
     stated = matrix_info(**{name: settings.pop(name) for name in MATRIX if name in settings})
     _await(spoken_on(port, stated)[1])
-    if Path(port).is_file():
+    if Path(port).is_file() or (Path(port).suffix in RECORDED and not Path(port).exists()):
         recording = read_recording(Path(port), stated)
         source = PlaybackPort(recording, speed=speed)
         settings = settings | {"queue": len(recording.counts)}  # a recording waits for its reader

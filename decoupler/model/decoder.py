@@ -22,6 +22,8 @@ from geometry.layout import FloatArray, Layout
 from geometry.wiring import pillars_of_wires
 
 BEYOND = 2.0  #: times as long as usual, or as short, at which no pillar arrives
+SPREAD = 0.1  #: standard deviation of ln R under usual loads, where too few samples tell it
+STRANGE = float(np.log(BEYOND**2) / SPREAD) ** 2  #: least χ² over its degrees of freedom of what is left out
 MANY = 10  #: pillars left out of a scan, from which on its forces are not to be relied on
 PATTERNS = 16  #: of pillars left out, whose decoders are kept
 
@@ -172,6 +174,11 @@ class Decoder(ABC):
         found[..., self.component.pillars(self.layout)] = True
         return found & ~self.dead
 
+    @cached_property
+    def is_blind(self) -> bool:
+        """Most pillars that it looks at are left out: not faults of some, but readings of something else."""
+        return self.left_out is not None and 2 * int((self.left_out & self.read).sum()) > int(self.read.sum())
+
     def unreliable(self, lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which scans have lost so many readings (n, rows, cols, n_pillars) that their forces are not relied on, (n,).
 
@@ -192,6 +199,7 @@ class Decoder(ABC):
 
         `force_n` are their forces, if `forces` has told them. Above the limit no load that the decoder knows explains a
         reading: a dead wire, another sensor, a load beyond its range. None if it does not say which loads it knows.
+        Where most readings are left out (`lost`), as of kΩ, χ² is `STRANGE`, whatever the others say.
         """
 
     def sifted(self, resistance_ohm: FloatArray) -> "Iterator[tuple[NDArray[np.intp], Self]]":

@@ -16,7 +16,7 @@ from decoupler.data.columns import Columns, Component, Scaling, in_blocks, names
 from decoupler.inverse.limits import cramer_rao
 from decoupler.inverse.sensor_model import ModelInverse, SensorModel
 from decoupler.model.baseline import LeastSquares
-from decoupler.model.decoder import BEYOND, Decoder
+from decoupler.model.decoder import BEYOND, STRANGE, Decoder
 from decoupler.model.ensemble import Ensemble
 from decoupler.model.front import Front
 from decoupler.model.left_out import LeftOut
@@ -154,11 +154,13 @@ class Decoupler(Decoder):
         self, resistance_ohm: FloatArray, force_n: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray] | None:
         """By how far forces are outside the usual loads, or readings outside theirs (`LoadTest`)."""
-        if self.load_test is None:
+        if (test := self.load_test) is None:
             return None
         told_n = self.forces(resistance_ohm) if force_n is None else force_n
 
         def ask(by: Self, ohms: FloatArray, which: Any) -> tuple[FloatArray, FloatArray]:
+            if by.is_blind:
+                return np.full(len(ohms), STRANGE), np.full(len(ohms), test.limit)
             assert by.load_test is not None
             return by.load_test.tested(told_n[which].reshape(len(ohms), -1), lambda: by.columns(ohms))
 

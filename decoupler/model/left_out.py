@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoupler.data.columns import DEAD_OHM, namespace, rowwise
-from decoupler.model.decoder import MANY
+from decoupler.model.decoder import MANY, SPREAD
 from decoupler.model.foretold import Foretold
 from decoupler.model.usual import MIN_NOISE
 from decoupler.readings import MIN_WHOLE_OHM
@@ -18,7 +18,6 @@ from geometry.layout import FloatArray
 if TYPE_CHECKING:
     from decoupler.model.decoupler import Decoupler
 
-SPREAD = 0.1  #: standard deviation of ln R under usual loads, where too few samples tell it
 REFINED = 6  #: steps by the response towards readings that are left out; two are usual
 MOST_LOG_CHANGE = 0.5  #: change of the logarithm of a reading by one of them
 GAINED = 1e-2  #: fall of what is minimised, below which a scan has ended

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,7 +13,7 @@ from scipy.special import chdtri
 from common.threads import one_blas_thread
 from dataset.measurement import ReadingError
 from decoupler.data.columns import COMPONENTS, Component, Scaling
-from decoupler.model.decoder import Decoded, Decoder
+from decoupler.model.decoder import STRANGE, Decoded, Decoder
 from decoupler.readings import Pillars
 from decoupler.touch.sensing import Displacements, Sensing, Whitening
 from geometry.design import SensorDesign
@@ -180,12 +180,13 @@ class TouchDecoder(Decoder):
         white = self.white(reading, more)
         relative = white(reading)
         at_rest = float(relative @ relative)
-        if at_rest >= chdtri(white.n, AT_REST) or self.is_like_a_press(relative):
+        if self.is_blind or at_rest >= chdtri(white.n, AT_REST) or self.is_like_a_press(relative):
             of_model = self.of_model * np.abs(reading).max()
-            return self.pressed(reading, self.white(reading, np.hypot(more, of_model)), at_rest, last)
+            found = self.pressed(reading, self.white(reading, np.hypot(more, of_model)), at_rest, last)
+            return replace(found, chi2=max(found.chi2, STRANGE)) if self.is_blind else found
         none, wait = np.zeros((self.design.n_units, self.n_loads)), max(last.wait - 1, 0) if last else 0
-        limit = chdtri(white.n, AT_REST) / max(white.n, 1)
-        return Touched(load=none, factors=self.hidden, chi2=at_rest / max(white.n, 1), limit=limit, wait=wait)
+        limit = chdtri(white.n, AT_REST) / white.n
+        return Touched(load=none, factors=self.hidden, chi2=at_rest / white.n, limit=limit, wait=wait)
 
     def is_like_a_press(self, relative: FloatArray) -> bool:
         """Whether a reading, whitened, (m,) is more like some press than one scan in 1/`AT_REST` at rest."""

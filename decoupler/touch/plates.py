@@ -165,5 +165,7 @@ class PlateDecoder(TouchDecoder):
 
 def _root(precision: FloatArray, prior: FloatArray) -> FloatArray:
     """Factor of (P + diag(1/v))⁻¹, upper triangular; its rows' squares add up to variances."""
+    if not prior.size:  # which LAPACK refuses
+        return precision
     inverse, _ = dtrtri(np.linalg.cholesky(precision + np.diag(1 / prior.ravel())), lower=1)
     return np.asarray(inverse.T)

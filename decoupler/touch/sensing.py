@@ -53,8 +53,8 @@ class Whitening:
 
     @cached_property
     def n(self) -> int:
-        """Number of readings that are read."""
-        return int(np.isfinite(self.deviation).sum())
+        """Number of readings that are read, over which χ² is shared; 1 if none is."""
+        return max(int(np.isfinite(self.deviation).sum()), 1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -214,7 +214,8 @@ def read_recording(path: Path, stated: Info | None = None) -> Recording:
         with Path(path).open("rb") as file:
             if file.read(8).startswith(_EXPORTS):
                 raise FileFormatError(
-                    f"{path}: an export for other programs, which is not read back: give the recording (.frames)."
+                    f"{path}: a data set, or an export for other programs, which is not read back: give the recording "
+                    "(.frames)."
                 )
             file.seek(0)
             return _read(file, str(path)) if stated is None else _read_lines(file, stated, str(path))

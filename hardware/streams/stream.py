@@ -61,7 +61,7 @@ def reachable(host: str) -> str:
     return "this machine alone" if is_here else "everybody who can reach this address can read it, unencrypted"
 
 
-def listening_on(host: str, port: int) -> socket.socket:
+def listening_on(host: str, port: int, mend: str = "give another address") -> socket.socket:
     """A socket that listens on an address; a `StreamError` if another program does, or it is none of this machine."""
     try:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -69,9 +69,7 @@ def listening_on(host: str, port: int) -> socket.socket:
         return socket.create_server(address[:2], family=family, dualstack_ipv6=is_both)
     except (OSError, UnicodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "no name of a machine"
-        raise StreamError(
-            f"cannot listen on {host}, port {port}: {why}: give another address, or end what listens there."
-        ) from None
+        raise StreamError(f"cannot listen on {host}, port {port}: {why}: {mend}, or end what listens there.") from None
 
 
 def require_new(path: Path | None) -> None:

@@ -427,3 +427,12 @@ def test_readings_of_another_sensor_are_told(every):
     assert found is None or told > (0.4 if name.startswith(("fz", "identified-fin")) else 0.9)
     alarms = found is not None and np.greater(*case.model.consistency(case.test.resistance_ohm)).mean()
     assert alarms <= (0.2 if name == "bare" else 0.05)  # of a library of 80 presses
+
+
+@pytest.mark.parametrize("times", [1e-3, 1e3])
+def test_readings_in_another_unit_are_told(every, times):
+    """As many Ω as there are kΩ, or the other way: also where a pillar that fails lands among sound ones."""
+    model, ohms = every[1].model, times * every[1].test.resistance_ohm[:SCANS]
+    ohms[(0, *place_of(model))] = model.rest_resistances()[place_of(model)]
+    chi2, limit = model.consistency(ohms, model.forces(ohms))
+    assert (chi2 > 10.0 * limit).all()

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import tripillar as tp
+from common.errors import FileFormatError
 from dataset import SampleError, pillar_lengths, pillar_resistances
 from dataset.measurement import ReadingError
 from decoupler import LeastSquares, assess, hooke_forces
@@ -135,6 +136,10 @@ def test_another_programs_forces_are_judged_by_the_same_measures_and_limits(tmp_
     found = tp.evaluate(predictions=tmp_path / "own.nc", data=data, response=solved)
     turned = xr.load_dataset(tmp_path / "own.nc").isel(axis=[2, 0, 1]).assign_coords(axis=["z", "x", "y"])
     turned.to_netcdf(tmp_path / "turned.nc")
+    turned.rename(force_n="force").to_netcdf(tmp_path / "force.nc")
+    wanted = r"no variable 'force_n', only \['force'\]: .*force_n=\(\('sample', 'row', 'col', 'axis'\), F\)"
+    with pytest.raises(FileFormatError, match=wanted):
+        tp.evaluate(predictions=tmp_path / "force.nc", data=data, limits=False)
     assert tp.evaluate(predictions=tmp_path / "turned.nc", data=data, response=solved) == found
     for name, one in found.items():
         assert (one.errors, one.limits, one.ratio) == (own[name].errors, own[name].limits, own[name].ratio)

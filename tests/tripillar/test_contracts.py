@@ -243,6 +243,8 @@ dataset --protocol contact --samples 5 -o x.nc --design small.toml -q --test-sha
 dataset --protocol contact --samples 5 -o x.nc --dead-row 12 -> its row wires are 0 to 11
 train --touch --design stiff.toml --shape small.toml -o m.safetensors -> --shape is of bare rubber
 train --touch --design small.toml --hidden 3 -o m.safetensors -> presses of its own: leave --hidden out
+train --data data.nc wide.nc -o m.safetensors -> data set 2 has another design than the first
+train --data data.nc --data wide.nc -o m.safetensors -> data set 2 has another design than the first
 train --data data.nc -o m.pt -> --out m.pt must be a file that ends in .safetensors
 train --data cut.nc --component fz -o m.safetensors -> cut.nc: truncated or not NetCDF
 identify --data semi.csv -o m.safetensors -> semi.csv: has no column force_0_0_x_n of 1 × 1 units
@@ -270,18 +272,22 @@ design --extend missing.toml -> missing.toml: no such file
 design --extend small.toml --out small.toml -> small.toml is read by this command
 design --extend chewing-gum -> neither a rubber file (.toml) nor a published silicone; these are dragon-skin-10,
 export data.nc --model model.safetensors -o m.h -> give a data set, a recording or --model FILE, one of them
+export text.txt -> of a data set .csv or .parquet, with its design beside; of a recording .nc or .csv. See
 export text.txt -o y.txt -> must be a file that ends in .nc or .csv
 export text.txt -o y.mcap -> would hold forces: write tripillar replay text.txt --model MODEL --out y.mcap
 view small.toml --save x.bmp -> --save x.bmp must end in .png, .html, .mp4, .vtm
-view small.toml --save x.png --pressure 0 -> --pressure 0 must be above 0 and at most 100 MPa
+view small.toml --save x.png --pressure 0 -> --pressure 0 must be a number in MPa above 0 and at most 100
+view small.toml --save x.png --pressure 1MPa -> --pressure 1MPa must be a number in MPa above 0
 view block.toml --save x.png --pressure 3 -> has its own loads
 view small.toml --host 0.0.0.0 -> add --serve, whose page these are for, or leave --host out
 view --serve --host 192.0.2.1 -> cannot listen on 192.0.2.1
+view --serve --host 192.0.2.1 -> give another --host or --http-port, or end what listens there
 view --serve --port board -> --port needs --model
 sweep vary.toml -> 'vary' must be an array of tables, each written [[vary]]
 sweep small.toml --trials 3 -> --trials are of a search: add --optimize, or leave --trials out
 info missing -> missing: no such port; there are
-info data.nc -> data.nc: an export for other programs
+info missing.frames -> missing.frames: no such file: give a recording
+info data.nc -> data.nc: a data set, or an export for other programs
 live text.txt --model model.safetensors --rate 20 -> a recording has the rate that it was made at: leave --rate out
 live text.txt --model model.safetensors --calibration text.json -> text.json is no calibration
 replay text.txt --model model.safetensors --speed 0 -> --speed 0 must be 0.001 or more; 1 is as recorded

@@ -43,6 +43,11 @@ def test_a_given_response_is_used_and_what_is_of_another_design_type_or_name_ref
     monkeypatch.setattr("tripillar.pipeline.stage.array_response", lambda *_: pytest.fail("solved"))
     assert tp.train(replace(samples, design=None), response=known, **QUICK).form.feature == "inverse"
     model = tp.train(samples, response=known, **QUICK)
+    untold = replace(samples, design=None)
+    told = tp.train(untold, design=DESIGN, response=known, **QUICK)
+    assert told.design == DESIGN
+    assert np.array_equal(told.forces(samples.resistance_ohm), model.forces(samples.resistance_ohm))
+    tp.evaluate(None, untold, folds=2, design=DESIGN, response=known, **QUICK)
     assert tp.evaluate(model, samples[40:], response=known)["fz"].limits is not None
     for call in (
         lambda given: tp.train(samples, net="plain", response=given, **QUICK),
@@ -55,6 +60,7 @@ def test_a_given_response_is_used_and_what_is_of_another_design_type_or_name_ref
             call(samples)
     for call, says in (
         (lambda: tp.write({}, "x"), "a dict cannot be written"),
+        (lambda: tp.sweep({}), r"^file is of type dict, expected a path: write it to a file \(TOML\)\.$"),
         (lambda: tp.dataset(nois=0.1), "nois= is no argument; there are bits, "),
     ):
         with pytest.raises(tp.TriPillarError, match=says):
@@ -80,7 +86,8 @@ def test_options_that_data_contradict_or_training_would_ignore_are_refused():
     finite, mixed = (replace(linear, strain_model=np.minimum(np.arange(8.0) + k, 1.0)) for k in (1, 0))
     other = replace(response.design, pad=Pad(size_mm=11.0))
     for data, asked, said in (
-        (linear, {"design": other}, "states another design than design=: leave it out"),
+        (linear, {"design": other}, "is of another design than design=: leave it out"),
+        (replace(linear, design=None), {"design": tp.SensorDesign()}, "is of another design than design="),
         (finite, {"hidden": 5}, "is at finite strain, which maps learn: leave hidden=, net= and feature= out"),
         (finite, {"net": "convolution"}, "which maps learn"),
         (finite, {"feature": "inverse"}, "which maps learn"),

@@ -19,6 +19,7 @@ from common.errors import DesignError
 from tripillar.cli.commands import COMMANDS, job_of
 from tripillar.cli.door import Job, command_of, parameters_of, typed_options
 from tripillar.cli.help import Columns
+from tripillar.cli.plain import without_none
 
 ABOUT = """Simulate a three-axis tactile sensor, train the network that reads its forces, and read them from a board.
 
@@ -61,10 +62,11 @@ def parsed(job: Job) -> Callable[..., int]:
     """The command of a job, with the signature and docstring that the parser reads."""
     command, told, parameters = command_of(job), meanings(job), []
     for given, hint, flag in parameters_of(job):
+        several = without_none(hint)
         has_default = not (given.default in (None, (), math.inf) or isinstance(given.default, bool))
         mark = Parameter(
             name=flag.name or None, negative=flag.negative, required=flag.required or None, help=told.get(given.name),
-            show_default=has_default, consume_multiple=get_origin(hint) is tuple and ... in get_args(hint),
+            show_default=has_default, consume_multiple=get_origin(several) is list or ... in get_args(several),
             converter=whole if hint in WHOLE else None,
         )  # fmt: skip
         kind = given.POSITIONAL_ONLY if given.kind is given.POSITIONAL_ONLY else given.KEYWORD_ONLY
@@ -105,7 +107,7 @@ def _in_one_line(error: Any) -> str:
     if isinstance(error, cyclopts.MissingArgumentError) and argument is not None:
         typed = argument.name if error.keyword is None else error.keyword
         choices = ", ".join(argument.get_choices(force=True) or ())
-        meaning = (argument.parameter.help or "").partition(";")[0].rstrip(".")
+        meaning = (argument.parameter.help or "").rstrip(".")
         message = (
             f"{typed} is missing: {f'one of {choices}' if choices else meaning}."
             if error.keyword is None

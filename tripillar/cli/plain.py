@@ -28,7 +28,7 @@ def typed_plainly(job: Job, words: Sequence[str]) -> tuple[list[Any], dict[str, 
             needed.add(given.name if flag.name else len(places))
         if not flag.name:
             places.append(hint)
-        is_bool = _without_none(hint) is bool
+        is_bool = without_none(hint) is bool
         flags |= {name: (given.name, hint, True if is_bool else None) for name in flag.name}
         flags |= {name: (given.name, hint, False) for name in flag.negative}
     arguments: list[Any] = []
@@ -50,7 +50,7 @@ def typed_plainly(job: Job, words: Sequence[str]) -> tuple[list[Any], dict[str, 
 
 def _value(hint: Any, word: str) -> Any:
     """A word as a value of a type; `ValueError` where the parser is to be asked."""
-    kind = _without_none(hint)
+    kind = without_none(hint)
     if get_origin(kind) is Literal and word in get_args(kind):
         return word
     if get_origin(kind) is list:
@@ -60,7 +60,7 @@ def _value(hint: Any, word: str) -> Any:
     return kind(word)
 
 
-def _without_none(hint: Any) -> Any:
+def without_none(hint: Any) -> Any:
     """The type of X | None."""
     kinds = [each for each in get_args(hint) if each is not NoneType]
     return kinds[0] if get_origin(hint) in (Union, UnionType) and len(kinds) == 1 else hint

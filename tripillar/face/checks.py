@@ -50,12 +50,10 @@ def heed(doubted: str | None, name: str, force: bool) -> dict[str, str]:
     return {"forced": doubted}
 
 
-def require_heeded(data: Samples, name: str, design: SensorDesign | None, maps: bool, form: NetworkConfig) -> None:
-    """Refuse another design than the data's, and what training would ignore: a form if it `maps` strain, or strain."""
+def require_heeded(data: Samples, name: str, maps: bool, form: NetworkConfig) -> None:
+    """Refuse what training would ignore: a form if it `maps` strain, or strain."""
     is_finite, mend = data.is_finite, ""
-    if design is not None and data.design not in (None, design):
-        mend = "states another design than design=: leave it out, or give data of that design"
-    elif maps and is_finite.any() and form != NetworkConfig():
+    if maps and is_finite.any() and form != NetworkConfig():
         mend = "is at finite strain, which maps learn: leave hidden=, net= and feature= out, or give feature='root'"
     elif not maps and is_finite.any() != is_finite.all():
         mend = "holds linear samples and others at finite strain: give one kind, or component='all' with a design"

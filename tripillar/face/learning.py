@@ -144,10 +144,11 @@ def train(
         raise DesignError("give data=, samples to train on; or touch=True.")
     network, training = NetworkConfig(**NETWORK.of(settings)), TrainingConfig(**TRAINING.of(settings))
     sources: list[SamplesLike] = [*data] if isinstance(data, list | tuple) else [data]  # type: ignore[list-item]
-    samples, name = _together(sources), name_of(sources[0], "samples")
+    name = name_of(sources[0], "samples")
+    samples = _of_design(_together(sources), name, design)
     few = stages.enough(samples, training.seed, name, "train the network")
-    parts, network, solved, forced = _checked(few, name, network, response, component, design, force)
-    if solved is None and samples.design is None and design is None:
+    parts, network, solved, forced = _checked(few, name, network, response, component, force)
+    if solved is None and samples.design is None:
         caller.say(f"{name} states no design: with design=FILE the network learns from the sensor's response, too")
     advance = caller.bars.begin(f"train {parts}", total=training.max_iterations)
     model = stages.train(samples, parts, network, training, lambda _, mse: advance(1, f"mse {mse:.2e}"), solved)
@@ -242,7 +243,8 @@ def evaluate(
     if sum(each is None for each in (model, folds, predictions)) != 2:
         raise DesignError("give model=, predictions=, or folds= to cross-validate: one of them.")
     if folds is not None:
-        return _cross_validated(samples_of(data), name, folds, response, training)
+        samples = _of_design(samples_of(data), name, training.pop("design", None))
+        return _cross_validated(samples, name, folds, response, training)
     if training:
         given = ", ".join(f"{name}=" for name in training)
         raise DesignError(f"a model has its own: leave {given} out, or give folds= to cross-validate.")
@@ -359,6 +361,16 @@ def _together(sources: "Sequence[SamplesLike]") -> "stages.AnySamples":
     return several[0] if len(several) == 1 else stages.joined([stages.in_memory(each) for each in several])
 
 
+def _of_design(samples: "stages.AnySamples", name: str, given: "DesignLike | None") -> "stages.AnySamples":
+    """The samples, of the design that is given for some that state none."""
+    design = None if given is None else design_of(given)
+    if design in (None, samples.design):
+        return samples
+    if samples.design is not None or not stages.fits(design, samples):
+        raise DesignError(f"{name} is of another design than design=: leave it out, or give data of that design.")
+    return replace(stages.in_memory(samples), design=design)
+
+
 def _at_rest(samples: "stages.Samples") -> dict[str, Any]:
     """Resistances of samples without a load, where no design says what the sensor shows at rest."""
     largest_n = np.abs(samples.force_n).max(axis=(1, 2, 3))
@@ -375,15 +387,14 @@ def _mention_untrusted(model: "stages.Decoupler") -> None:
 
 def _checked(
     samples: "stages.Samples", name: str, asked: NetworkConfig, response: "stages.ArrayResponse | None",
-    component: Component | None = None, design: "DesignLike | None" = None, force: bool = False,
+    component: Component | None = None, force: bool = False,
 ) -> "tuple[str, NetworkConfig, stages.ArrayResponse | None, dict[str, str]]":  # fmt: skip
     """Component and network for samples, the response that it starts from, and what a model must remember of doubts."""
-    stated = None if design is None else design_of(design)
     named, is_automatic = component or stages.acting_component(samples.force_n), asked.feature == "auto"
     if component is None and named == "all" and untold(Unit(layout=samples.layout)):
         named = "fz"
     parts = stages.component_named(named)
-    sensor = samples.design or stated
+    sensor = samples.design
     is_stated = sensor is not None or response is not None
     if not is_stated and stages.fits(SensorDesign(), samples):
         sensor = SensorDesign()
@@ -395,14 +406,13 @@ def _checked(
     if asked.feature == "inverse" or (is_automatic and asked.net != "plain"):
         solved = stages.response_of(samples, name, sensor, response)
     is_finite = samples.is_finite.any()
-    stages.require_heeded(samples, name, stated, named == "all" and solved is not None, asked)
+    stages.require_heeded(samples, name, named == "all" and solved is not None, asked)
     network = stages.suited(samples, named, asked, None, solved).form
     chosen = network.feature
     if is_automatic and chosen == "root" and solved is not None and not is_finite:
         note = "the response of the design does not explain these data: inputs are √R"
     if is_automatic and chosen == "inverse" and samples.design is None and response is None:
-        which = "the paper's sensor" if stated is None else "the given design"
-        note = f"the data state no design, but the response of {which} explains them and is used"
+        note = "the data state no design, but the response of the paper's sensor explains them and is used"
     # a guessed design that does not explain the samples cannot judge them
     judging = solved if solved is not None and (is_stated or chosen == "inverse") else None
     if judging is None and is_stated:

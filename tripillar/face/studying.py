@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Literal
 
-from common.errors import DesignError
+from common.errors import ArgumentError, DesignError
 from common.storage.files import write_text
 from common.storage.journal import Journal
 from tripillar.face import stages
@@ -112,6 +112,8 @@ def sweep(
     >>> best.values, len(others), bool(best.metrics["error_n"] <= others[0].metrics["error_n"])
     ({'unit.height_mm': 10.0}, 1, True)
     """
+    if not isinstance(file, Path | str):
+        raise ArgumentError(f"file is of type {type(file).__name__}, expected a path: write it to a file (TOML).")
     caller, source, folder = current(), Path(file), Path(out)
     stages.require_pool(workers, scheduler)
     if optimize and retry:

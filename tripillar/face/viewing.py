@@ -233,7 +233,8 @@ def _serve(body: "SensorDesign | stages.Scene | None", name: str, page: Served, 
     caller = current()
     with ExitStack() as stack:
         # a taken port is refused before anything takes time
-        listening = stack.enter_context(stages.listening_on(page.host, page.http_port))
+        mend = "give another host= or http_port="
+        listening = stack.enter_context(stages.listening_on(page.host, page.http_port, mend))
         decoder = None if page.model is None else model_of(page.model)
         design = body or (decoder.design if decoder is not None else None) or SensorDesign()
         if decoder is not None:
@@ -285,8 +286,8 @@ def _pressures(given: "Pressures") -> tuple[float | str, ...]:
             value = math.nan
         if not (math.isfinite(value) and 0 < value <= MAX_MPA):
             raise DesignError(
-                f"pressure_mpa={each} must be above 0 and at most {MAX_MPA:g} MPa, or {MAX_MPA:g}% of the most that "
-                "suits the design; the paper uses 1 to 5 MPa."
+                f"pressure_mpa={each} must be a number in MPa above 0 and at most {MAX_MPA:g}, or {MAX_MPA:g}% of the "
+                "most that suits the design; the paper uses 1 to 5 MPa."
             )
         pressures.append(text if text.endswith("%") else value)
     if len(set(pressures)) < len(pressures) or len(pressures) > MAX_PANELS:
