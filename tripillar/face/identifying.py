@@ -202,9 +202,8 @@ def plan_loads(
     if not 1 <= count <= MAX_NEXT:
         raise DesignError(f"count={count} must be from 1 to {MAX_NEXT}.")
     proposed = planned(sensor, count, have, usual, _tolerances(sensor, tolerances))
-    lines = [
-        f"next: {each.load.replace('nothing', 'nothing on it')}; then {100 * each.error:.3g} %" for each in proposed
-    ]
+    named = {"nothing": "nothing on it"}
+    lines = [f"next: {named.get(each.load, each.load)}; then {100 * each.error:.3g} %" for each in proposed]
     if proposed:
         before = 100 * proposed[0].error_before
         lines = [f"expected error of a force before: {before:.3g} % of a usual force", *lines]
